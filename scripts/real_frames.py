@@ -102,10 +102,9 @@ def photographed(psf, electrons, rng):
     return (rng.poisson(psf * unit) / unit).astype(np.float32)
 
 
-def decorrelated(psf, other, correlation):
-    """Speckle that has this correlation with `psf`, where `other` is independent speckle of the same contrast."""
-    ratio = np.sqrt(1 / correlation**2 - 1)
-    return ((psf / psf.sum() + ratio * other / other.sum()) / (1 + ratio)).astype(np.float32)
+def with_other_speckle(psf, other, part):
+    """The PSF with this part of its light in the speckle `other`."""
+    return ((1 - part) * psf / psf.sum() + part * other / other.sum()).astype(np.float32)
 
 
 def caustic(rows, columns, seed, rays_per_pixel=5):
@@ -414,7 +413,8 @@ def noise_problem(bench, fault, seed):
     if "electrons" in fault:
         problem.psf = photographed(problem.psf, int(fault.split()[0]), rng)
     elif "speckle" in fault:
-        problem.psf = decorrelated(problem.psf, simulated(bench, "digits", 1, seed + 1000).psf, 0.95)
+        other = simulated(bench, "digits", 1, seed + 1000).psf
+        problem.psf = with_other_speckle(problem.psf, other, int(fault.split()[0]) / 100)
     elif "too large" in fault:
         problem.psf = scaled(problem.psf, TOO_LARGE)
     return problem
@@ -439,7 +439,8 @@ def noise_row(bench, options, factors, fault):
 
 
 def noise_section(bench, options):
-    names = ["nothing wrong", "2000 electrons in the PSF's capture", "200 electrons in the PSF's capture", "speckle with correlation 0.95", "PSF 0.3 % too large"]
+    names = ["nothing wrong", "2000 electrons in the PSF's capture", "200 electrons in the PSF's capture",
+             "5 % of the light in other speckle", "25 % of the light in other speckle", "PSF 0.3 % too large"]
     factors = NOISE_FACTORS[::2] if options.quick else NOISE_FACTORS
     head = ["fault of the PSF", "at σ, dB", "default, dB", "best fixed σ, dB", "best factor", "effective σ/σ", "default − best", "fit", "target met"]
     return section(

@@ -2,9 +2,9 @@
 //!
 //! Such a row is left out where its pixels keep the video of its instant from settling, see [`Residual::unsettled_rows`].
 //! The other row of the instant may be too few measurements for a video that predicts any of its pixels, so none comes
-//! back. But printed letters are brighter or darker than most of the scene's light. The search starts with a part of the
-//! row, its brightest pixels and then its darkest, reconstructs, and keeps more and more of those pixels that the video
-//! predicts best, as least trimmed squares do (Rousseeuw and Van Driessen 2006). What the video explains comes back
+//! back. But printed letters are brighter or darker than most of the scene's light. A forward search starts with a part of
+//! the row, its brightest pixels and then its darkest, reconstructs, and keeps more and more of those pixels that the video
+//! predicts best (Hadi 1992; steps of one size as in FAST-LTS, Rousseeuw and Van Driessen 2006). Rows of dual shutters only
 //! (docs/design/020).
 //!
 //! [`Residual::unsettled_rows`]: super::foreign::Residual::unsettled_rows
@@ -20,18 +20,22 @@ const COVERED_PART: f64 = 0.8;
 const MAX_RESIDUAL_BEFORE: f64 = 5.0;
 /// Parts of a row that are kept, one after the other; finer steps take longer, larger first ones begin with letters.
 const KEPT_PARTS: [f64; 8] = [0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.6, 0.7];
-/// Least such part that comes back; a video absorbs fewer pixels whatever they are.
+/// Least of them that is chosen; a video absorbs fewer pixels whatever they are.
+const LEAST_CHOSEN: f64 = 0.4;
+/// Least part of a row that comes back in the end, for the same reason.
 const MIN_KEPT: f64 = 0.3;
 /// Noise level of these steps over `σ`; larger tells the scene's pixels less well, smaller absorbs those of a caption.
 const SEARCH_LEVEL: f64 = 4.0;
 /// Residual of an instant over that level from which on the video does not explain it.
 const MAX_INSTANT_RESIDUAL: f64 = 3.0;
 /// Residual of an instant over `σ` up to which the video explains the pixels that are kept.
-const EXPLAINED: f64 = 1.6;
+const MAX_EXPLAINED_RESIDUAL: f64 = 1.6;
 /// Most rounds that keep fewer pixels until it does.
 const TRIM_ROUNDS: usize = 8;
 /// Part of the kept pixels of a row that such a round keeps.
-const TRIMMED: f64 = 0.92;
+const KEPT_PER_ROUND: f64 = 0.92;
+/// Held-out error over that before, at pixels that were kept before, up to which pixels come back.
+const MAX_ERROR_RATIO: f64 = 1.02;
 /// Factors on the limit of a residual below which further pixels come back at the end.
 const READMISSIONS: [f64; 2] = [1.0, 1.0];
 
@@ -42,19 +46,19 @@ enum Guess {
     Darkest,
 }
 
-/// A row that is left out as a whole.
+/// A row most of which is left out.
 struct CoveredRow {
-    /// Its pixels, without those that have no weight.
+    /// Its pixels, without those that have no weight and those of broken lines.
     pixels: Vec<usize>,
-    /// The pixels of all rows of its instant, without those that have no weight.
+    /// The pixels of both rows of its instant, without those that have no weight.
     of_instant: Vec<usize>,
 }
 
 impl CoveredRow {
-    /// Keeps the pixels that come first in `order` and leaves the others out.
-    fn keep(&self, kept: usize, order: &[f64], excluded: &mut [bool]) {
+    /// Keeps the pixels with the smallest values of `rank_by` and leaves the others out.
+    fn keep(&self, kept: usize, rank_by: &[f64], excluded: &mut [bool]) {
         let mut pixels = self.pixels.clone();
-        pixels.sort_unstable_by(|&i, &j| order[i].total_cmp(&order[j]).then(i.cmp(&j)));
+        pixels.sort_unstable_by(|&i, &j| rank_by[i].total_cmp(&rank_by[j]).then(i.cmp(&j)));
         let pixels = pixels.into_iter().enumerate();
         pixels.for_each(|(at, i)| excluded[i] = at >= kept);
     }
@@ -89,7 +93,7 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        // Where rows share bins each of the checks takes seconds, and no instant has a row of its own.
+        // Where rows share bins each of the checks takes seconds, and other rows see the same light.
         if self.data.is_coupled() {
             return Ok(check);
         }
@@ -99,34 +103,57 @@ impl Problem {
             if rows.is_empty() || check.residual_rms > MAX_RESIDUAL_BEFORE * self.sigma {
                 break;
             }
-            let turned = self.turned(&rows, &check);
-            let rows = self.covered_rows(&turned, broken);
-            self.excluded = turned;
-            let (effective_sigma, is_dense) = (self.effective_sigma, self.is_dense);
-            let mut excluded = self.with_more_pixels(guess, &rows, prior, observer)?;
-            self.trim(&mut excluded, &rows, prior, observer)?;
-            let next = self.settle(excluded, &rows, broken, prior, observer)?;
-            let is_better = next.residual_rms <= MAX_RESIDUAL * self.sigma
-                && count(&self.excluded) + negligible_count(&before) < count(&before);
-            debug!(
-                "{} covered rows from their {guess:?} pixels on: {} pixels left out instead of {}, residual {:.3} σ",
-                rows.len(),
-                count(&self.excluded),
-                count(&before),
-                next.residual_rms / self.sigma
-            );
+            let (sigma, effective_sigma, is_dense) =
+                (self.sigma, self.effective_sigma, self.is_dense);
+            let tried = self.retry_from(guess, &rows, &check, broken, prior, observer);
             self.is_dense = is_dense;
-            if is_better {
-                check = next;
-            } else {
-                self.exclude(before);
-                self.effective_sigma = effective_sigma;
+            match tried {
+                Ok(Some(next))
+                    if next.residual_rms <= MAX_RESIDUAL * self.sigma.min(sigma)
+                        && next.held_out_rms_without(&before)
+                            <= MAX_ERROR_RATIO * check.held_out_rms
+                        && count(&self.excluded) + negligible_count(&before) < count(&before) =>
+                {
+                    debug!(
+                        "{} covered rows from their {guess:?} pixels on: {} pixels left out instead of {}",
+                        rows.len(),
+                        count(&self.excluded),
+                        count(&before)
+                    );
+                    check = next;
+                }
+                tried => {
+                    self.exclude(before);
+                    self.effective_sigma = effective_sigma;
+                    tried?;
+                }
             }
         }
         Ok(check)
     }
 
-    /// Rows of which most pixels are left out, without broken lines, where another row of the instant is kept.
+    /// Tries the `rows` again from `guess` on; `None`: no video explains a part of one.
+    fn retry_from(
+        &mut self,
+        guess: Guess,
+        rows: &[CoveredRow],
+        check: &HeldOutCheck,
+        broken: &[bool],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Option<HeldOutCheck>, Box<RunResult>> {
+        let excluded = self.with_partners_left_out(rows, check);
+        let rows = self.covered_rows(&excluded, broken);
+        let mut excluded = self.with_more_pixels(guess, &rows, excluded, prior, observer)?;
+        self.trim(&mut excluded, &rows, prior, observer)?;
+        if rows.iter().all(|row| row.kept_count(&excluded) == 0) {
+            return Ok(None);
+        }
+        self.settle(excluded, &rows, broken, prior, observer)
+            .map(Some)
+    }
+
+    /// Rows of which most pixels are left out, without broken lines, where the other row of the instant is kept.
     fn covered_rows(&self, excluded: &[bool], broken: &[bool]) -> Vec<CoveredRow> {
         let instants = self.camera.instants();
         let columns = self.excluded.len() / instants.len();
@@ -135,43 +162,56 @@ impl Problem {
             let pixels = row * columns..(row + 1) * columns;
             pixels.filter(|&i| weights.is_none_or(|w| w[i] > 0.0))
         };
-        let part = |row: usize, mask: &[bool]| {
-            let in_mask = pixels_of(row).filter(|&i| mask[i]).count();
-            in_mask as f64 / pixels_of(row).count().max(1) as f64
+        let count_of = |row: usize, is_in: &dyn Fn(usize) -> bool| {
+            pixels_of(row).filter(|&i| is_in(i)).count() as f64
         };
-        let is_covered = |row: usize| part(row, excluded) > COVERED_PART;
-        let of_instant =
-            |row: usize| (0..instants.len()).filter(move |&o| instants[o] == instants[row]);
+        let part = |row: usize, mask: &[bool]| {
+            count_of(row, &|i| mask[i]) / count_of(row, &|_| true).max(1.0)
+        };
+        let is_covered =
+            |row: usize| part(row, excluded) > COVERED_PART && part(row, broken) < COVERED_PART;
+        let is_kept =
+            |row: usize| count_of(row, &|i| !excluded[i]) > (1.0 - COVERED_PART) * columns as f64;
+        let partner = |row: usize| {
+            let mut others =
+                (0..instants.len()).filter(|&o| o != row && instants[o] == instants[row]);
+            others.next().filter(|_| others.next().is_none())
+        };
         (0..instants.len())
-            .filter(|&row| is_covered(row) && part(row, broken) < COVERED_PART)
-            .filter(|&row| of_instant(row).any(|other| !is_covered(other)))
-            .map(|row| CoveredRow {
-                pixels: pixels_of(row).collect(),
-                of_instant: of_instant(row).flat_map(pixels_of).collect(),
+            .filter(|&row| is_covered(row))
+            .filter_map(|row| partner(row).map(|other| (row, other)))
+            .filter(|&(_, other)| is_kept(other))
+            .map(|(row, other)| CoveredRow {
+                pixels: pixels_of(row).filter(|&i| !broken[i]).collect(),
+                of_instant: pixels_of(row).chain(pixels_of(other)).collect(),
             })
             .collect()
     }
 
-    /// The excluded pixels, where the instant of a row has not settled without it, with the other rows of the instant in
-    /// its place: these may have the caption.
-    fn turned(&self, rows: &[CoveredRow], check: &HeldOutCheck) -> Vec<bool> {
+    /// The excluded pixels. Where the frame is not explained and the instant of a row has not settled without it, the other row
+    /// of the instant is left out in its place: it may be the one with the caption.
+    fn with_partners_left_out(&self, rows: &[CoveredRow], check: &HeldOutCheck) -> Vec<bool> {
         let mut excluded = self.excluded.clone();
         if check.residual_rms <= MAX_RESIDUAL * self.sigma {
             return excluded;
         }
         let (_, unsettled) = self.judge_pixels(check, 1.0);
-        for row in rows.iter().filter(|row| unsettled[row.pixels[0]]) {
+        for row in rows
+            .iter()
+            .filter(|row| row.of_instant.iter().any(|&i| unsettled[i]))
+        {
             row.of_instant.iter().for_each(|&i| excluded[i] = true);
             row.pixels.iter().for_each(|&i| excluded[i] = false);
         }
         excluded
     }
 
-    /// The excluded pixels without those of `rows` that a video explains best which was found from `guess` on.
+    /// `excluded` without those pixels of `rows` that a video explains best which was found from `guess` on.
     fn with_more_pixels(
         &mut self,
         guess: Guess,
         rows: &[CoveredRow],
+        mut excluded: Vec<bool>,
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<Vec<bool>, Box<RunResult>> {
@@ -180,18 +220,18 @@ impl Problem {
             Guess::Darkest => 1.0,
         };
         let light = self.measurement.image().data().iter();
-        let mut order: Vec<f64> = light.map(|b| sign * f64::from(*b)).collect();
-        let (mut best, mut excluded) = (self.excluded.clone(), self.excluded.clone());
+        let mut rank_by: Vec<f64> = light.map(|b| sign * f64::from(*b)).collect();
+        let mut best = excluded.clone();
         rows.iter().for_each(|row| row.leave_out(&mut best));
         let mut least = vec![MAX_INSTANT_RESIDUAL * SEARCH_LEVEL * self.sigma; rows.len()];
         for part in KEPT_PARTS {
             for row in rows {
-                row.keep(row.part(part), &order, &mut excluded);
+                row.keep(row.part(part), &rank_by, &mut excluded);
             }
-            order = self.residuals_without(&excluded, SEARCH_LEVEL, prior, observer)?;
+            rank_by = self.residuals_without(&excluded, SEARCH_LEVEL, prior, observer)?;
             for (row, least) in rows.iter().zip(&mut least) {
-                let residual = row.residual_rms(&order, &excluded);
-                if part > MIN_KEPT && residual < *least {
+                let residual = row.residual_rms(&rank_by, &excluded);
+                if part >= LEAST_CHOSEN && residual < *least {
                     *least = residual;
                     row.pixels.iter().for_each(|&i| best[i] = excluded[i]);
                 }
@@ -210,14 +250,16 @@ impl Problem {
     ) -> Result<(), Box<RunResult>> {
         let mut rest: Vec<&CoveredRow> = rows.iter().collect();
         rest.retain(|row| row.kept_count(excluded) > 0);
-        for _ in 0..TRIM_ROUNDS {
+        for round in 0..=TRIM_ROUNDS {
             if rest.is_empty() {
                 break;
             }
             let sizes = self.residuals_without(excluded, 1.0, prior, observer)?;
-            rest.retain(|row| row.residual_rms(&sizes, excluded) > EXPLAINED * self.sigma);
-            for row in &rest {
-                let kept = TRIMMED * row.kept_count(excluded) as f64;
+            rest.retain(|row| {
+                row.residual_rms(&sizes, excluded) > MAX_EXPLAINED_RESIDUAL * self.sigma
+            });
+            for row in rest.iter().filter(|_| round < TRIM_ROUNDS) {
+                let kept = KEPT_PER_ROUND * row.kept_count(excluded) as f64;
                 row.keep(kept as usize, &sizes, excluded);
             }
         }
@@ -250,7 +292,8 @@ impl Problem {
             excluded = self.excluded.clone();
             let has_failed = |row: &&CoveredRow| {
                 let kept = row.kept_count(&excluded);
-                kept > 0 && (unsettled[row.pixels[0]] || kept < row.part(MIN_KEPT))
+                let is_unsettled = row.of_instant.iter().any(|&i| unsettled[i]);
+                kept > 0 && (is_unsettled || kept < row.part(MIN_KEPT))
             };
             let failed: Vec<&CoveredRow> = rows.iter().filter(has_failed).collect();
             if failed.is_empty() {

@@ -97,7 +97,7 @@ impl Problem {
             let is_last_level = *level < LAST_LEVEL_RATIO * self.sigma;
             let start = is_last_level.then(|| excluded.clone());
             let is_same = undone == Some(factor) || (is_last_level && start == last_start);
-            if is_same || count(&before) - count(&excluded) <= few {
+            if is_same || count(&before).saturating_sub(count(&excluded)) <= few {
                 continue;
             }
             last_start = start;
