@@ -34,8 +34,9 @@ const MAX_EXPLAINED_RESIDUAL: f64 = 1.6;
 const TRIM_ROUNDS: usize = 8;
 /// Part of the kept pixels of a row that such a round keeps.
 const KEPT_PER_ROUND: f64 = 0.92;
-/// Held-out error over that before, at pixels that were kept before, up to which pixels come back.
-const MAX_ERROR_RATIO: f64 = 1.02;
+/// Held-out error over that before, at pixels that were kept before, up to which pixels come back. Other pixels are held out, so
+/// smaller loses rows by chance.
+const MAX_ERROR_RATIO: f64 = 1.1;
 /// Factors on the limit of a residual below which further pixels come back at the end.
 const READMISSIONS: [f64; 2] = [1.0, 1.0];
 
@@ -170,7 +171,7 @@ impl Problem {
         };
         let is_covered =
             |row: usize| part(row, excluded) > COVERED_PART && part(row, broken) < COVERED_PART;
-        let is_kept =
+        let is_seen =
             |row: usize| count_of(row, &|i| !excluded[i]) > (1.0 - COVERED_PART) * columns as f64;
         let partner = |row: usize| {
             let mut others =
@@ -180,7 +181,7 @@ impl Problem {
         (0..instants.len())
             .filter(|&row| is_covered(row))
             .filter_map(|row| partner(row).map(|other| (row, other)))
-            .filter(|&(_, other)| is_kept(other))
+            .filter(|&(_, other)| is_seen(other))
             .map(|(row, other)| CoveredRow {
                 pixels: pixels_of(row).filter(|&i| !broken[i]).collect(),
                 of_instant: pixels_of(row).chain(pixels_of(other)).collect(),
