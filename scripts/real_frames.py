@@ -440,7 +440,7 @@ def noise_row(bench, options, factors, fault):
 
 def noise_section(bench, options):
     names = ["nothing wrong", "2000 electrons in the PSF's capture", "200 electrons in the PSF's capture",
-             "5 % of the light in other speckle", "25 % of the light in other speckle", "PSF 0.3 % too large"]
+             "5 % of the light in other speckle", "PSF 0.3 % too large"]
     factors = NOISE_FACTORS[::2] if options.quick else NOISE_FACTORS
     head = ["fault of the PSF", "at σ, dB", "default, dB", "best fixed σ, dB", "best factor", "effective σ/σ", "default − best", "fit", "target met"]
     return section(
