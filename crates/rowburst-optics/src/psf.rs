@@ -2,6 +2,7 @@
 
 use crate::Image;
 use rowburst_core::{Error, ErrorKind, Parameter, Result};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Largest distance from 1 of the sum of a stored PSF; larger admits PSFs that were never normalized.
@@ -123,6 +124,35 @@ impl Psf {
             0.0
         }
     }
+
+    /// The smallest ranges of displacements that hold all of its light.
+    pub(crate) fn extent(&self) -> Extent {
+        let (rows, columns) = (self.image.rows(), self.image.columns());
+        let (mut in_rows, mut in_columns) = (rows..0, columns..0);
+        for (y, row) in self.image.data().chunks_exact(columns).enumerate() {
+            let Some(first) = row.iter().position(|v| *v != 0.0) else {
+                continue;
+            };
+            let last = row.iter().rposition(|v| *v != 0.0).unwrap_or(first);
+            in_rows = in_rows.start.min(y)..y + 1;
+            in_columns = in_columns.start.min(first)..in_columns.end.max(last + 1);
+        }
+        let about_centre = |range: Range<usize>, length: usize| {
+            let centre = (length / 2) as isize;
+            range.start as isize - centre..range.end as isize - centre
+        };
+        Extent {
+            rows: about_centre(in_rows, rows),
+            columns: about_centre(in_columns, columns),
+        }
+    }
+}
+
+/// Displacements outside of which a PSF is zero.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Extent {
+    pub rows: Range<isize>,
+    pub columns: Range<isize>,
 }
 
 /// A stretch of a row of a PSF.
@@ -167,6 +197,17 @@ mod tests {
         assert_eq!(psf.at_displacement(0, 0), psf.image().at(2, 2));
         assert_eq!(psf.at_displacement(2, 0), 0.0);
         assert_eq!(psf.at_displacement(-2, 2), psf.image().at(0, 4));
+    }
+
+    #[test]
+    fn extent_leaves_out_dark_edges_alone() {
+        let light = |y: usize, x: usize| f32::from(matches!((y, x), (1, 3) | (2, 1)));
+        let extent = |value: &dyn Fn(usize, usize) -> f32| {
+            let extent = Psf::new(Image::from_fn(4, 5, value)).unwrap().extent();
+            (extent.rows, extent.columns)
+        };
+        assert_eq!(extent(&light), (-1..1, -1..2));
+        assert_eq!(extent(&|_, _| 1.0), (-2..2, -2..3));
     }
 
     #[test]

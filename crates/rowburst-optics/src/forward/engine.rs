@@ -6,6 +6,7 @@ use super::geometry::Geometry;
 use super::jobs::{AdjointJob, ForwardJob};
 use super::{planar::Planar, rowwise::Rowwise};
 use crate::Psf;
+use crate::psf::Extent;
 use rowburst_core::linop::Scalar;
 
 /// A convolution with one PSF.
@@ -25,8 +26,15 @@ pub(super) enum Scratch<T> {
 }
 
 impl<T: Scalar> Engine<T> {
-    /// The engine with the lower operation count for instants that read `sensor_rows_of`.
-    pub fn cheapest(geometry: &Geometry, psf: &Psf, sensor_rows_of: &[Vec<usize>]) -> Self {
+    /// The engine with the lower operation count for instants that read `sensor_rows_of`, of a PSF that covers all displacements.
+    ///
+    /// The PSF is zero outside of `extent`.
+    pub fn cheapest(
+        geometry: &Geometry,
+        psf: &Psf,
+        extent: &Extent,
+        sensor_rows_of: &[Vec<usize>],
+    ) -> Self {
         // Real operations per x-frequency: 8 for a complex multiply–add, and 5 n log2 n for each of two complex FFTs
         // of length n.
         let reads: usize = sensor_rows_of.iter().map(Vec::len).sum();
@@ -34,7 +42,7 @@ impl<T: Scalar> Engine<T> {
         let n = geometry.fft_rows() as f64;
         let planar = sensor_rows_of.len() as f64 * 10.0 * n * n.log2();
         if rowwise <= planar {
-            Self::Rowwise(Rowwise::new(geometry, psf))
+            Self::Rowwise(Rowwise::new(geometry, psf, extent))
         } else {
             Self::Planar(Planar::new(geometry, psf))
         }

@@ -29,6 +29,7 @@ mod shared_bins;
 #[cfg(test)]
 mod tests;
 
+use crate::psf::Extent;
 use crate::{Camera, PatchSet, Psf, TimeGrid};
 use engine::Engine;
 use geometry::Geometry;
@@ -43,8 +44,8 @@ use std::sync::Arc;
 ///
 /// The adjoint is exact: `Aᵀ = Tᵀ Sᵀ`.
 ///
-/// An instant costs one short complex FFT for every two field rows, and a multiply–add over the field for each row
-/// that is read. Rows that are not read are not computed. Where an instant reads many rows (`global`), the operator
+/// An instant costs one short complex FFT for every two field rows, and a multiply–add over the part of the field that the PSF
+/// reaches for each row that is read. Rows that are not read are not computed. Where an instant reads many rows (`global`), the operator
 /// uses 2-D FFTs instead; it selects the way that needs fewer operations. With several PSFs it does all this once for
 /// each.
 pub struct RollingShutter<T: Scalar = f32> {
@@ -477,20 +478,25 @@ fn layers_of<T: Scalar>(
     geometry: &Geometry,
     sensor_rows_of: &[Vec<usize>],
 ) -> Vec<Layer<T>> {
-    let engine = |psf: &Psf| Engine::cheapest(geometry, psf, sensor_rows_of);
+    let mut extents: Vec<Extent> = set.psfs().iter().map(Psf::extent).collect();
+    // Engines share their buffers, so all have one length of transforms.
+    let start = extents.iter().map(|e| e.columns.start).min().unwrap_or(0);
+    let end = extents.iter().map(|e| e.columns.end).max().unwrap_or(0);
+    extents.iter_mut().for_each(|e| e.columns = start..end);
+    let engine = |psf: &Psf, extent| Engine::cheapest(geometry, psf, extent, sensor_rows_of);
     if let [psf] = set.psfs() {
         return vec![Layer {
-            engine: engine(psf),
+            engine: engine(psf, &extents[0]),
             psf: psf.clone(),
             share: None,
         }];
     }
     let weight_maps = set.weight_maps(geometry.field_rows, geometry.field_columns);
-    let layers = set.psfs().iter().zip(weight_maps);
+    let layers = set.psfs().iter().zip(&extents).zip(weight_maps);
     layers
         .filter(|(_, share)| !share.is_empty())
-        .map(|(psf, share)| Layer {
-            engine: engine(psf),
+        .map(|((psf, extent), share)| Layer {
+            engine: engine(psf, extent),
             psf: psf.clone(),
             share: Some(share),
         })

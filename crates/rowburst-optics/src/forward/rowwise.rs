@@ -24,12 +24,14 @@
 use super::geometry::Geometry;
 use super::jobs::{AdjointJob, ForwardJob};
 use crate::Psf;
+use crate::psf::Extent;
 use rayon::prelude::*;
 use rowburst_core::linop::Scalar;
 use rowburst_core::vecmath::{add_conjugate_products, add_products, simd};
 use rustfft::Fft;
 use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Row pairs of a field in a batch; larger leaves the nearest cache, smaller passes over the sums more often.
@@ -38,7 +40,9 @@ pub(super) const PAIRS_PER_BATCH: usize = 4;
 /// The row-wise engine of one PSF.
 pub(super) struct Rowwise<T: Scalar> {
     geometry: Geometry,
-    /// `Q_d` for each row displacement, smallest first.
+    /// Row displacements `d` at which `Q_d` is not zero, counted from the smallest one.
+    nonzero: Range<usize>,
+    /// `Q_d` at these.
     kernels: Vec<Complex<T>>,
     /// Length of an FFT.
     length: usize,
@@ -65,36 +69,33 @@ pub(super) struct Pairs<T> {
 }
 
 impl<T: Scalar> Rowwise<T> {
-    pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
-        let length = geometry.fft_columns();
+    /// The engine of `psf`, which is zero outside of `extent`.
+    pub fn new(geometry: &Geometry, psf: &Psf, extent: &Extent) -> Self {
+        let length = geometry.fft_columns_for(&extent.columns);
         let (forward, inverse) = T::complex_transforms(length);
         let displacements = geometry.rows + geometry.field_rows - 1;
-        let mut spectra = vec![Complex::zero(); displacements * length];
+        let least = geometry.row_displacement(0, geometry.field_rows - 1);
+        let index = |dy: isize| (dy - least).clamp(0, displacements as isize) as usize;
+        // A kernel holds two rows of the PSF, its own and the one before.
+        let nonzero = index(extent.rows.start)..index(extent.rows.end + 1);
+        let mut spectra = vec![Complex::zero(); nonzero.len() * length];
         // The transforms are not normalised, so the kernels contain the factor 1/length.
         let scale = T::nearest(1.0 / length as f64);
-        let mut previous = vec![T::zero(); length];
-        for (d, spectrum) in spectra.chunks_exact_mut(length).enumerate() {
-            let dy = d as isize + geometry.row_displacement(0, geometry.field_rows - 1);
-            let value = |x, field_x| -> T {
-                let dx = geometry.column_displacement(x, field_x);
-                T::from(psf.at_displacement(dy, dx)) * scale
-            };
+        for (d, spectrum) in nonzero.clone().zip(spectra.chunks_exact_mut(length)) {
+            let dy = d as isize + least;
             // The light of field column x' stands at index x' of a line, and its image at index x. So kernel index
             // `x − x'` holds the displacement `x − x' + ox`. Negative indices wrap around to the end.
-            for (x, element) in spectrum[..geometry.columns].iter_mut().enumerate() {
-                element.re = value(x, 0);
-            }
-            for x in 1..geometry.field_columns {
-                spectrum[length - x].re = value(0, x);
-            }
-            for (element, previous) in spectrum.iter_mut().zip(&mut previous) {
-                element.im = -*previous;
-                *previous = element.re;
+            for i in geometry.kernel_columns(&extent.columns) {
+                let dx = i + geometry.offset_columns as isize;
+                let value = |dy| T::from(psf.at_displacement(dy, dx)) * scale;
+                let before = if d == 0 { T::zero() } else { value(dy - 1) };
+                spectrum[i.rem_euclid(length as isize) as usize] = Complex::new(value(dy), -before);
             }
         }
         forward.process(&mut spectra);
         Self {
             geometry: geometry.clone(),
+            nonzero,
             kernels: spectra,
             length,
             forward,
@@ -123,10 +124,11 @@ impl<T: Scalar> Rowwise<T> {
         }
     }
 
-    /// `Q_d` from the field rows `y` and `y + 1` to sensor row `r`.
-    fn kernel(&self, r: usize, y: usize) -> &[Complex<T>] {
+    /// `Q_d` from the field rows `y` and `y + 1` to sensor row `r`; `None` where it is zero.
+    fn kernel(&self, r: usize, y: usize) -> Option<&[Complex<T>]> {
         let d = r + self.geometry.field_rows - 1 - y;
-        &self.kernels[d * self.length..(d + 1) * self.length]
+        let i = d.checked_sub(self.nonzero.start)?;
+        self.kernels.get(i * self.length..(i + 1) * self.length)
     }
 
     /// Bytes of the PSF's spectra.
@@ -175,19 +177,23 @@ impl<T: Scalar> Rowwise<T> {
         let field_columns = self.geometry.field_columns;
         pairs.rows.clear();
         for (i, row_pair) in light.chunks(2 * field_columns).enumerate() {
+            let y = first + 2 * i;
+            let is_seen = || rows.iter().any(|&r| self.kernel(r, y).is_some());
             // Most rows of a sparse video are zero.
-            if !is_dark(row_pair) {
+            if !is_dark(row_pair) && is_seen() {
                 let start = pairs.rows.len() * self.length;
                 let line = &mut pairs.lines[start..start + self.length];
                 pack(row_pair, field_columns, line);
-                pairs.rows.push(first + 2 * i);
+                pairs.rows.push(y);
             }
         }
         let lines = &mut pairs.lines[..pairs.rows.len() * self.length];
         self.forward.process_with_scratch(lines, &mut pairs.fft);
         for (&r, sum) in rows.iter().zip(sums.chunks_exact_mut(self.length)) {
             for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact(self.length)) {
-                add_products(sum, line, self.kernel(r, y));
+                if let Some(kernel) = self.kernel(r, y) {
+                    add_products(sum, line, kernel);
+                }
             }
         }
     }
@@ -274,11 +280,17 @@ impl<T: Scalar> Rowwise<T> {
         let lines = &mut pairs.lines[..pairs.rows.len() * self.length];
         lines.fill(Complex::zero());
         for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact_mut(self.length)) {
+            let mut is_seen = false;
             for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.length)) {
-                add_conjugate_products(line, self.kernel(r, y), spectrum);
+                if let Some(kernel) = self.kernel(r, y) {
+                    add_conjugate_products(line, kernel, spectrum);
+                    is_seen = true;
+                }
+            }
+            if is_seen {
+                self.inverse.process_with_scratch(line, &mut pairs.fft);
             }
         }
-        self.inverse.process_with_scratch(lines, &mut pairs.fft);
         for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact(self.length)) {
             let from = (y - first) * field_columns;
             let end = light.len().min(from + 2 * field_columns);
