@@ -8,6 +8,7 @@
 //! Light of the scene that flickers changes all rows of an instant alike, which tells it from banding. So only dual
 //! shutters are corrected.
 
+use super::super::frame_data::FrameData;
 use super::super::held_out;
 use super::super::held_out_check::{DENSE_SUPPORT, HeldOutCheck};
 use super::super::held_out_run::HeldOutRun;
@@ -23,6 +24,9 @@ const PRIOR: &str = "tv+2*tdiff+background";
 const NOISE_LEVEL: f64 = 3.5;
 /// Their iterations; fewer leave more of the scene.
 const ITERATIONS: usize = 100;
+/// Iterations after which a frame without banding is known; the size of the offsets changes little from there on
+/// (docs/design/026).
+const EARLY_ITERATIONS: usize = 50;
 /// Rows on each side of a row whose mean is that of the scene; more leave more of the scene in the offsets.
 const NEIGHBOURS: usize = 3;
 /// Fewest pixels with weight of a row that has an offset.
@@ -52,10 +56,9 @@ impl Problem {
         if !(may_change && is_dense && is_open && self.camera.shutter().is_dual()) {
             return Ok(None);
         }
-        let fit = self.loose_fit(observer)?;
-        if !fit.rows.are_banded() || !fit.confirms_offsets() {
+        let Some(fit) = self.loose_fit(observer)?.filter(LooseFit::confirms_offsets) else {
             return Ok(None);
-        }
+        };
         let columns = self.measurement.image().columns();
         let of_row = |offset: &f64| std::iter::repeat_n(*offset as f32, columns);
         let offset: Vec<f32> = fit.rows.offsets.iter().flat_map(of_row).collect();
@@ -71,8 +74,8 @@ impl Problem {
         }))
     }
 
-    /// A reconstruction well above the noise of the sensor.
-    fn loose_fit(&self, observer: &mut Observer) -> Result<LooseFit, Box<RunResult>> {
+    /// A reconstruction well above the noise of the sensor, if it leaves banding.
+    fn loose_fit(&self, observer: &mut Observer) -> Result<Option<LooseFit>, Box<RunResult>> {
         let prior: Prior = PRIOR.parse().expect("a prior");
         let rule = TauRule::Discrepancy {
             sigma: NOISE_LEVEL * self.sigma,
@@ -82,8 +85,20 @@ impl Problem {
         let mut data = self.data_with(self.data.psfs().clone());
         data.set_frame(&self.measurement.without(&self.excluded));
         let mut run = HeldOutRun::new(&mut data, prior, rule, settings);
-        run.run(&mut data, ITERATIONS, observer)?;
-        let check = HeldOutCheck::of(&run, &data);
+        let mut fit = None;
+        for iterations in [EARLY_ITERATIONS, ITERATIONS] {
+            run.run(&mut data, iterations, observer)?;
+            fit = Some(self.fit_of(&run, &data)).filter(|fit| fit.rows.are_banded());
+            if fit.is_none() {
+                break;
+            }
+        }
+        Ok(fit)
+    }
+
+    /// What `run` leaves of the frame.
+    fn fit_of(&self, run: &HeldOutRun, data: &FrameData) -> LooseFit {
+        let check = HeldOutCheck::of(run, data);
         let image = self.measurement.image();
         let mut weights = match data.weights() {
             Some(weights) => weights.to_vec(),
@@ -100,10 +115,10 @@ impl Problem {
         for &pixel in data.held_out_pixels() {
             weights[pixel] = 0.0;
         }
-        Ok(LooseFit {
+        LooseFit {
             rows: Rows::new(image, &check.light, &weights, self.camera.instants()),
             held_out,
-        })
+        }
     }
 }
 
