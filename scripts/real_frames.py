@@ -51,7 +51,7 @@ TOO_LARGE = 1.003
 SCENES = ["digits", "leds", "moving", "dense"]
 PRIORS = ["tv+support", "tv+0.5*tdiff+support", "tv+2*tdiff+support", "group+support", "tv+0.5*tdiff", "tv+2*tdiff", "tv+8*tdiff"]
 NOISE_FACTORS = [1, 1.4, 2, 2.8, 4, 5.6, 8, 11, 16]
-STAND_IN_PRIORS = ["tv+0.5*tdiff", "tv+2*tdiff", "tv+8*tdiff", "tv+2*tdiff+support"]
+STAND_IN_PRIORS = ["tv+0.5*tdiff", "tv+2*tdiff", "tv+8*tdiff", "tv+2*tdiff+support", "tv+2*tdiff+background"]
 # In counts of 255; rounding alone has 0.29.
 STAND_IN_SIGMAS = [0.5, 1, 2, 4, 8]
 STAND_IN_SHAPE = (135, 160)

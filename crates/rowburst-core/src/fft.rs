@@ -128,8 +128,8 @@ pub fn smooth_even_length(least: usize) -> usize {
     2 * smooth_length(least.div_ceil(2))
 }
 
-/// The smallest multiple of 4 of the form 2ᵃ3ᵇ or 2ᵃ3ᵇ5 that is at least `least`: other smooth numbers take up to three times as
-/// long for a point (docs/design/001).
+/// The smallest multiple of 4 of the form 2ᵃ3ᵇ or 2ᵃ3ᵇ5 that is at least `least`. Transforms of some other smooth lengths
+/// take up to 3.5 times as long (docs/design/001).
 pub fn fast_length(least: usize) -> usize {
     (least.div_ceil(4).max(1)..)
         .find(|&quarter| is_smooth(quarter) && !quarter.is_multiple_of(25))

@@ -44,10 +44,10 @@ use std::sync::Arc;
 ///
 /// The adjoint is exact: `Aᵀ = Tᵀ Sᵀ`.
 ///
-/// An instant costs one short complex FFT for every two field rows, and a multiply–add over the part of the field that the PSF
-/// reaches for each row that is read. Rows that are not read are not computed. Where an instant reads many rows (`global`), the operator
-/// uses 2-D FFTs instead; it selects the way that needs fewer operations. With several PSFs it does all this once for
-/// each.
+/// An instant costs one short complex FFT for every two field rows, and for each row that is read a multiply–add over
+/// the field rows that the PSF reaches. Rows that are not read are not computed. Where an instant reads many rows
+/// (`global`), the operator uses 2-D FFTs instead; it selects the way that needs fewer operations. With several PSFs it
+/// does all this once for each.
 pub struct RollingShutter<T: Scalar = f32> {
     video: Shape,
     time: TimeGrid,
