@@ -28,6 +28,8 @@ pub(super) struct Controllers {
     continuation: Continuation,
     noise_weights: NoiseWeights,
     decline: DeclineDetector,
+    /// Whether the weights of the measurements changed before the present iteration.
+    has_new_weights: bool,
     /// See [`super::tuning::KindTuning::brightness_capped_from`].
     brightness_capped_from: usize,
     tuning: Tuning,
@@ -46,6 +48,7 @@ impl Controllers {
             continuation: Continuation::new(params.threshold, tuning, kind),
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
+            has_new_weights: false,
             brightness_capped_from: tuning.for_kind(kind).brightness_capped_from,
             tuning: *tuning,
         };
@@ -105,7 +108,9 @@ impl Controllers {
         if self.active_set.is_due(&self.schedule) {
             self.update_active_set(variables, data, prior);
         }
-        if self.noise_weights.is_due(&self.schedule) && data.update_weights(&variables.z) {
+        self.has_new_weights =
+            self.noise_weights.is_due(&self.schedule) && data.update_weights(&variables.z);
+        if self.has_new_weights {
             variables.update_products(data);
         }
         if self.schedule.is_multiple_of(self.tuning.refresh_interval) {
@@ -133,6 +138,11 @@ impl Controllers {
         self.schedule.phase() == Phase::Settled
             && self.penalty.is_unchanged()
             && self.active_set.is_settled()
+    }
+
+    /// Whether the iteration is the same map as the last one, on a support: the run is settled, and no weight has changed.
+    pub fn is_fixed_map(&self) -> bool {
+        self.is_settled() && self.active_set.support().is_some() && !self.has_new_weights
     }
 
     /// The supports of a certificate.

@@ -37,6 +37,9 @@
 //! underfit bins are widened gently and not unrestricted (`docs/design/025`). With hundreds of voxels for each pixel of the frame a video takes
 //! shape slowly, and the first restriction waits for it (`docs/design/008`).
 //!
+//! **Acceleration.** On a support that no longer changes an iteration is a fixed map, and Anderson acceleration needs fewer of
+//! them (`acceleration.rs`, `docs/design/033`).
+//!
 //! **Stopping.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ β R(v)`) give
 //!
 //! ```text
@@ -49,6 +52,7 @@
 //! proved to be within [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found
 //! (`docs/design/009`).
 
+mod acceleration;
 mod active_set;
 mod brightness;
 mod continuation;
@@ -67,6 +71,7 @@ pub use tuning::{KindTuning, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::prox::Prox;
+use acceleration::Acceleration;
 use controllers::Controllers;
 use rowburst_core::Shape;
 use std::borrow::Cow;
@@ -233,6 +238,7 @@ pub struct Admm {
     max_iterations: usize,
     variables: Variables,
     controllers: Controllers,
+    acceleration: Acceleration,
     stopping: Stopping,
     /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
     objective: f64,
@@ -256,6 +262,7 @@ impl Admm {
             max_iterations: params.max_iterations,
             variables: Variables::new(data, shape.columns),
             controllers: Controllers::new(data, shape, &params),
+            acceleration: Acceleration::default(),
             stopping: Stopping::new(&params),
             objective: f64::INFINITY,
         }
@@ -302,11 +309,18 @@ impl Admm {
         let Self {
             variables,
             controllers,
+            acceleration,
             ..
         } = self;
         let support = controllers.active_set.x_step_support();
         let rho = controllers.penalty.rho();
         let change = variables.x_step(data, rho, self.relaxation, support)?;
+        if controllers.is_fixed_map() {
+            prior.refine();
+            acceleration.accelerate(variables, support);
+        } else {
+            acceleration.forget();
+        }
         variables.z_step(prior, controllers.threshold(variables));
         variables.dual_step(data);
         Some(change)
@@ -341,6 +355,7 @@ impl Admm {
     /// Sets how `τ` is found from now on.
     pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
         self.controllers.set_tau_rule(rule, data);
+        self.acceleration.forget();
     }
 
     /// Sets [`AdmmParams::tolerance`].
@@ -392,6 +407,7 @@ impl Admm {
     /// Continues with `data`, which hold the same frame with other weights. Iterations are counted anew.
     pub fn reweight(&mut self, data: &dyn DataTerm) {
         self.controllers.warm_start(data);
+        self.acceleration.forget();
         self.variables.x_residual_norm = None;
         // `A` contains the weights of the measurements, which may be others.
         self.variables.update_products(data);

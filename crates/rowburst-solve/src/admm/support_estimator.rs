@@ -73,6 +73,12 @@ impl BinState {
         }
     }
 
+    /// Whether the bin was widened as often as it may be.
+    fn is_widest(self, tuning: &KindTuning) -> bool {
+        let most = tuning.max_widenings.map_or(usize::MAX, NonZeroUsize::get);
+        matches!(self, Self::Widened(times) if times >= most)
+    }
+
     /// The threshold over that of a bin that was never underfit; 0: all voxels are active.
     fn threshold_ratio(self, tuning: &KindTuning) -> f64 {
         let is_restricted = |times| {
@@ -162,13 +168,14 @@ impl SupportEstimator {
     /// The underfit bins: their `residual_rms` is above `reference` by [`Tuning::underfit_ratio`] and above
     /// [`Tuning::stall_ratio`] of the last one.
     ///
-    /// Unrestricted bins are never underfit. `residual_rms` is kept for the next call.
+    /// Unrestricted bins are never underfit, nor are those that were widened [`KindTuning::max_widenings`] times. `residual_rms` is kept for the next call.
     pub fn underfit_bins(&mut self, residual_rms: Vec<f64>, reference: f64) -> Vec<usize> {
         let is_underfit = |t: &usize| {
             let (now, before) = (residual_rms[*t], self.residual_rms[*t]);
             now > self.tuning.underfit_ratio * reference
                 && now > self.tuning.stall_ratio * before
                 && !self.is_unrestricted[*t]
+                && !self.bins[*t].is_widest(&self.kind_tuning)
         };
         let underfit_bins: Vec<usize> = (0..residual_rms.len()).filter(is_underfit).collect();
         self.residual_rms = residual_rms;

@@ -164,6 +164,9 @@ constants! {
         /// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer. `None`, by name
         /// 0: no number of them (docs/design/007, 025).
         unrestricted_level: Option<NonZeroUsize>,
+        /// Most widenings of a bin; larger widens bins in vain that no support explains, and the run does not settle.
+        /// `None`, by name 0: no limit (docs/design/033).
+        max_widenings: Option<NonZeroUsize>,
         /// Brightness over that of the video above which a voxel of a widened bin stays active; smaller gives added voxels
         /// more time to show light. From 1 on it makes no difference (docs/design/025).
         kept_threshold: f64,
@@ -298,6 +301,7 @@ const SMALL: KindTuning = KindTuning {
     continuation_end: 20,
     widening_factor: 0.125,
     unrestricted_level: NonZeroUsize::new(5),
+    max_widenings: None,
     kept_threshold: 1.0,
     max_cut_light: 0.2,
     brightness_capped_from: 20,
@@ -361,6 +365,7 @@ impl Tuning {
             continuation_end: 40,
             widening_factor: 0.5,
             unrestricted_level: None,
+            max_widenings: NonZeroUsize::new(4),
             kept_threshold: 0.005,
             max_cut_light: 1.0,
             brightness_capped_from: 1,

@@ -21,6 +21,7 @@
 
 use super::dual::DualTerm;
 use super::term::{Coupling, TermForm, TermSpec};
+use super::variation::REFINED_STEPS;
 use super::{Prox, Variation, VariationWeights};
 use rayon::prelude::*;
 use rowburst_core::vecmath::{distance_squared, simd};
@@ -213,6 +214,10 @@ impl Prox for Composite {
 
     fn restrict(&mut self, support: &Support) {
         self.variation.restrict(support);
+    }
+
+    fn refine(&mut self) {
+        self.max_steps = self.max_steps.max(REFINED_STEPS);
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {

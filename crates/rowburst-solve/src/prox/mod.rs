@@ -68,6 +68,9 @@ pub trait Prox: DynClone + Send {
     /// Restricts all later calls of [`Self::prox`] to videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 
+    /// From now on an iterative prox takes more steps a call, for an outer solver that accelerates its iteration.
+    fn refine(&mut self) {}
+
     /// `v −= c`, with `c` the dual point at which the last call of [`Self::prox`] ended.
     ///
     /// With the `scale` of that call, `⟨c, w⟩ ≤ scale·R(w)` for every `w ≥ 0`. A positive element of the result shows

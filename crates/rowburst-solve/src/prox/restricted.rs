@@ -35,6 +35,10 @@ impl Prox for Restricted {
         self.prior.restrict(&support.intersect(&self.allowed));
     }
 
+    fn refine(&mut self) {
+        self.prior.refine();
+    }
+
     fn subtract_dual(&self, v: &mut [f32]) {
         self.prior.subtract_dual(v);
         // The prior is infinite for videos with light outside, so any dual point is valid there.

@@ -57,6 +57,11 @@ impl Prox for SumPrior {
         self.first.restrict(support);
     }
 
+    fn refine(&mut self) {
+        self.first.refine();
+        self.second.refine();
+    }
+
     fn subtract_dual(&self, v: &mut [f32]) {
         let (first, second) = v.split_at_mut(self.length);
         self.first.subtract_dual(first);

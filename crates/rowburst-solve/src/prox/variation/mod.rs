@@ -31,6 +31,10 @@ use wavefront::{BinView, Previous, SpatialDuals, Stencil, Tile, Wavefront};
 /// (docs/design/012).
 const STEPS_PER_SWEEP: usize = 2;
 
+/// Dual steps of a call after [`Prox::refine`]; fewer make LEDs take more iterations, more cost time
+/// (docs/design/033).
+pub(super) const REFINED_STEPS: usize = 6;
+
 /// Length of a dual step over `1/‖D‖²`; larger is faster but must stay below 2 to converge.
 const RELATIVE_STEP_LENGTH: f32 = 1.9;
 
@@ -436,6 +440,10 @@ impl Prox for Variation {
     fn restrict(&mut self, support: &Support) {
         self.rows = Rows::of(support, self.shape);
         self.support = Some(support.clone());
+    }
+
+    fn refine(&mut self) {
+        self.steps_per_call = self.steps_per_call.max(REFINED_STEPS);
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {

@@ -1,0 +1,288 @@
+//! Anderson acceleration of a settled run (docs/design/033).
+//!
+//! With constant `β`, `ρ` and support an iteration is a fixed map `q ↦ T(q)`, whose fixed point is the solution. Its change
+//! `f = T(q) − q` falls slowly along directions that the data hardly determine. The last iterations tell how `f` depends on
+//! `q` there. With the differences `ΔF` of their changes and `ΔG` of their `T(q)` the next point is
+//!
+//! ```text
+//! q ← T(q) − ΔG γ,   γ = argmin ‖f − ΔF γ‖
+//! ```
+//!
+//! (Anderson 1965; type II of Walker & Ni, SIAM J. Numer. Anal. 49, 1715, 2011). `T` moves no two points apart, so an
+//! iteration without acceleration is safe from any point: that follows wherever `‖f‖` has grown.
+
+use super::variables::Variables;
+use rowburst_core::Support;
+use rowburst_core::vecmath::{dot, norm_squared, solve_normal};
+use std::collections::VecDeque;
+
+/// Most iterations that are remembered; five need more of them for several bins a row, and more gain nothing (docs/design/033).
+const MEMORY: usize = 7;
+
+/// Largest part of the elements of `q` that may be active, which bounds the memory to about two videos.
+const MAX_ACTIVE_PART: f64 = 0.125;
+
+/// Growth of `‖f‖²` in an iteration above which the memory is cleared.
+const MAX_GROWTH: f64 = 1.44;
+
+/// Added to the diagonal of `ΔFᵀΔF` over its trace.
+const REGULARISATION: f64 = 1e-6;
+
+/// The memory of the last iterations.
+#[derive(Clone, Default)]
+pub(super) struct Acceleration {
+    /// Indices of the active elements of `q`; empty before the first iteration.
+    active: Vec<usize>,
+    /// The active elements of the `q` that the present iteration begins from.
+    start: Vec<f32>,
+    last: Option<Iterate>,
+    steps: VecDeque<Iterate>,
+}
+
+/// An iteration, or the difference of two.
+#[derive(Clone)]
+struct Iterate {
+    /// The active elements of `T(q)`.
+    q: Vec<f32>,
+    /// `A T(q)`.
+    aq: Vec<f32>,
+    /// `f`.
+    change: Vec<f32>,
+}
+
+impl Iterate {
+    fn minus(&self, other: &Self) -> Self {
+        Self {
+            q: difference(&self.q, &other.q),
+            aq: difference(&self.aq, &other.aq),
+            change: difference(&self.change, &other.change),
+        }
+    }
+}
+
+impl Acceleration {
+    /// Forgets all iterations: the map has changed.
+    pub fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Moves `q = T(q')` and `A q` on, where `q'` is the point that the last call left, and remembers the iteration.
+    /// Outside `support` (`None`: every voxel) the video's part of `q` is zero.
+    pub fn accelerate(&mut self, variables: &mut Variables, support: Option<&Support>) {
+        let is_first = self.active.is_empty();
+        if is_first {
+            self.active = active_elements(variables.q.len(), support);
+        }
+        if self.active.len() as f64 > MAX_ACTIVE_PART * variables.q.len() as f64 {
+            return;
+        }
+        let q: Vec<f32> = self.active.iter().map(|i| variables.q[*i]).collect();
+        if is_first {
+            self.start = q;
+            return;
+        }
+        let iterate = Iterate {
+            change: difference(&q, &self.start),
+            q,
+            aq: variables.aq.clone(),
+        };
+        self.remember(&iterate);
+        let mut q = iterate.q.clone();
+        if let Some(gamma) = self.combination(&iterate.change) {
+            for (step, gamma) in self.steps.iter().zip(gamma) {
+                subtract(&mut q, gamma, &step.q);
+                subtract(&mut variables.aq, gamma, &step.aq);
+            }
+            for (i, q) in self.active.iter().zip(&q) {
+                variables.q[*i] = *q;
+            }
+        }
+        self.start = q;
+        self.last = Some(iterate);
+    }
+
+    fn remember(&mut self, iterate: &Iterate) {
+        let Some(last) = &self.last else {
+            return;
+        };
+        if norm_squared(&iterate.change) > MAX_GROWTH * norm_squared(&last.change) {
+            self.steps.clear();
+            return;
+        }
+        if self.steps.len() == MEMORY {
+            self.steps.pop_front();
+        }
+        self.steps.push_back(iterate.minus(last));
+    }
+
+    /// `γ`; `None` where no iteration is remembered.
+    fn combination(&self, change: &[f32]) -> Option<Vec<f64>> {
+        let steps = &self.steps;
+        let products = |a: &Iterate| steps.iter().map(|b| dot(&a.change, &b.change)).collect();
+        let mut gram: Vec<Vec<f64>> = steps.iter().map(products).collect();
+        let trace: f64 = (0..steps.len()).map(|i| gram[i][i]).sum();
+        if trace <= 0.0 {
+            return None;
+        }
+        for (i, row) in gram.iter_mut().enumerate() {
+            row[i] += REGULARISATION * trace;
+        }
+        let rhs: Vec<f64> = steps.iter().map(|step| dot(&step.change, change)).collect();
+        solve_normal(&gram, &rhs)
+    }
+}
+
+/// Indices of the elements of a `q` of `length` in `support`, and of all that follow the video, such as a background.
+fn active_elements(length: usize, support: Option<&Support>) -> Vec<usize> {
+    let mask = support.map_or(&[][..], |support| support.mask());
+    let in_support = (0..mask.len()).filter(|i| mask[*i] != 0);
+    in_support.chain(mask.len()..length).collect()
+}
+
+fn difference(a: &[f32], b: &[f32]) -> Vec<f32> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+/// `a −= γb`.
+fn subtract(a: &mut [f32], gamma: f64, b: &[f32]) {
+    let gamma = gamma as f32;
+    a.iter_mut().zip(b).for_each(|(a, b)| *a -= gamma * b);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DataTerm;
+    use rowburst_core::Shape;
+    use rowburst_core::linop::LinearOperator;
+
+    const N: usize = 40;
+
+    /// `A = 2I`, of which the variables take the lengths.
+    struct Twice;
+
+    impl LinearOperator for Twice {
+        fn domain_len(&self) -> usize {
+            N
+        }
+
+        fn range_len(&self) -> usize {
+            N
+        }
+
+        fn apply(&self, x: &[f32], y: &mut [f32]) {
+            y.iter_mut().zip(x).for_each(|(y, x)| *y = 2.0 * x);
+        }
+
+        fn adjoint(&self, y: &[f32], x: &mut [f32]) {
+            self.apply(y, x);
+        }
+    }
+
+    impl DataTerm for Twice {
+        fn operator(&self) -> &dyn LinearOperator {
+            self
+        }
+
+        fn measurements(&self) -> &[f32] {
+            &[0.0; N]
+        }
+
+        fn measurement_count(&self) -> usize {
+            N
+        }
+
+        fn scale(&self) -> f64 {
+            1.0
+        }
+
+        fn solve_gram(&mut self, _: &[f32], _: f64, _: &mut [f32], _: &mut [f32]) -> bool {
+            unreachable!("no solve is asked for")
+        }
+
+        fn residual_rms_of_bins(&self, _: &[f32]) -> Vec<f64> {
+            unreachable!("no residual is asked for")
+        }
+
+        fn restrict(&mut self, _: &Support) {
+            unreachable!("no support is asked for")
+        }
+    }
+
+    /// Four active elements.
+    fn support() -> Support {
+        let mask = (0..N).map(|i| u8::from(i % 10 == 3)).collect();
+        Support::from_mask(mask, Shape::new(1, 4, 10))
+    }
+
+    /// The active elements, the fixed point there, and by how much an iteration comes closer to it: most slowly where it is
+    /// far.
+    const DIRECTIONS: [(usize, f32, f32); 4] = [
+        (3, 50.0, 0.98),
+        (13, 9.0, 0.9),
+        (23, 2.0, -0.5),
+        (33, 3.0, 0.2),
+    ];
+
+    fn iterate(variables: &mut Variables) {
+        for (i, fixed, closer) in DIRECTIONS {
+            variables.q[i] = fixed + closer * (variables.q[i] - fixed);
+        }
+        variables.update_aq(&Twice);
+    }
+
+    /// Largest relative distance of `q` to the fixed point.
+    fn error(variables: &Variables) -> f32 {
+        let errors = DIRECTIONS.map(|(i, fixed, _)| (variables.q[i] / fixed - 1.0).abs());
+        errors.into_iter().fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn a_linear_map_is_solved_in_as_many_iterations_as_it_has_directions() {
+        let mut variables = Variables::new(&Twice, 10);
+        let mut acceleration = Acceleration::default();
+        for _ in 0..8 {
+            iterate(&mut variables);
+            acceleration.accelerate(&mut variables, Some(&support()));
+        }
+        assert!(error(&variables) < 1e-3, "{:?}", variables.q);
+        let mut plain = Variables::new(&Twice, 10);
+        (0..8).for_each(|_| iterate(&mut plain));
+        assert!(error(&plain) > 0.8);
+        // `A q` follows `q`, and nothing outside the support has moved.
+        for (i, (q, aq)) in variables.q.iter().zip(&variables.aq).enumerate() {
+            assert!((aq - 2.0 * q).abs() < 1e-4);
+            assert!(i % 10 == 3 || *q == 0.0);
+        }
+    }
+
+    #[test]
+    fn growth_of_the_change_clears_the_memory() {
+        let mut variables = Variables::new(&Twice, 10);
+        let mut acceleration = Acceleration::default();
+        for _ in 0..4 {
+            iterate(&mut variables);
+            acceleration.accelerate(&mut variables, Some(&support()));
+        }
+        assert_eq!(acceleration.steps.len(), 2);
+        variables.q[3] += 100.0;
+        let before = variables.q.clone();
+        acceleration.accelerate(&mut variables, Some(&support()));
+        assert_eq!((acceleration.steps.len(), &variables.q), (0, &before));
+        acceleration.forget();
+        assert!(acceleration.last.is_none() && acceleration.active.is_empty());
+    }
+
+    #[test]
+    fn a_dense_video_is_left_as_it_is() {
+        let mut variables = Variables::new(&Twice, 10);
+        let mut acceleration = Acceleration::default();
+        for _ in 0..8 {
+            iterate(&mut variables);
+            let before = variables.q.clone();
+            acceleration.accelerate(&mut variables, None);
+            assert_eq!(variables.q, before);
+        }
+        assert!(acceleration.last.is_none());
+    }
+}
