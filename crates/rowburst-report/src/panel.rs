@@ -27,9 +27,9 @@ pub(crate) fn fit(available: Rect, grid: f64, rows: usize, columns: usize) -> Re
 /// Room that a colour bar takes right of a picture, with its numbers and the name above it.
 pub(crate) const BAR_ROOM: f64 = 84.0;
 /// Width of a letter of a name, on average, in units of the figure.
-const LETTER: f64 = 6.6;
+pub(crate) const LETTER: f64 = 6.6;
 /// Distance of the lines of a name.
-const LINE: f64 = 14.0;
+pub(crate) const LINE: f64 = 14.0;
 
 /// Draws a vertical colour bar right of `picture`, from `low` (below) to `high` (above). Above it stand the name of the
 /// quantity and the power of ten that its numbers, of two digits, share.

@@ -7,13 +7,13 @@ use crate::ReportInput;
 use crate::colour::{Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, rows};
-use crate::panel::{BAR_ROOM, colour_bar, fit, put};
+use crate::panel::{BAR_ROOM, LETTER, LINE, colour_bar, fit, put};
 use crate::pixels::{Pixels, Plane};
 
 /// Longest side of a frame of the sheet, in pixels.
 const FRAME_SIDE: usize = 512;
-/// Room above a frame for its time and rows.
-const HEAD: f64 = 40.0;
+/// Room over a frame beside the lines of its text.
+const HEAD: f64 = 12.0;
 /// Scale of the difference row, as a share of the white point.
 const DIFFERENCE: f32 = 0.25;
 
@@ -62,14 +62,47 @@ fn reconstructed(input: &ReportInput, videos: &Videos, bin: usize) -> Pixels {
     }
 }
 
-fn stamp(figure: &mut Figure, input: &ReportInput, place: Rect, bin: usize) {
+/// The text over each of the `bins`, in lines of at most `room`: its time and its rows, with the room for the longest.
+fn stamps(input: &ReportInput, bins: &[usize], room: f64) -> (Vec<Vec<String>>, f64) {
     let step_us = input.time.bin_duration_us();
     let unit = TimeUnit::of(input.time.bins() as f64 * step_us);
-    let time = unit.stamp(input.time.middle_us(bin), 0.5 * step_us);
+    let stamp = |&bin: &usize| {
+        let time = unit.stamp(input.time.middle_us(bin), 0.5 * step_us);
+        let read = rows(&rows_of_bin(input.instants, input.time, bin));
+        [vec![time], in_lines(&read, room)].concat()
+    };
+    let stamps: Vec<Vec<String>> = bins.iter().map(stamp).collect();
+    let most = stamps.iter().map(Vec::len).max().unwrap_or(0);
+    (stamps, HEAD + LINE * most as f64)
+}
+
+/// `text` in lines of at most `room`, which end at commas.
+fn in_lines(text: &str, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for part in text.split_inclusive(", ") {
+        let is_long = |line: &String| {
+            let letters = line.chars().count() + part.trim_end().chars().count();
+            letters as f64 * LETTER > room
+        };
+        match lines.last_mut() {
+            Some(line) if !is_long(line) => line.push_str(part),
+            _ => lines.push(part.to_string()),
+        }
+    }
+    lines
+        .iter()
+        .map(|line| line.trim_end().to_string())
+        .collect()
+}
+
+/// Writes a text of [`stamps`] above a frame.
+fn stamp(figure: &mut Figure, place: Rect, lines: &[String]) {
     let middle = place.x + place.width / 2.0;
-    figure.text(middle, place.y - 20.0, Anchor::Middle, "strong", &time);
-    let read = rows(&rows_of_bin(input.instants, input.time, bin));
-    figure.text(middle, place.y - 6.0, Anchor::Middle, "muted", &read);
+    for (i, line) in lines.iter().enumerate() {
+        let above = 6.0 + LINE * (lines.len() - 1 - i) as f64;
+        let class = if i == 0 { "strong" } else { "muted" };
+        figure.text(middle, place.y - above, Anchor::Middle, class, line);
+    }
 }
 
 /// How many frames stand side by side, of `most` (for square ones).
@@ -110,21 +143,20 @@ pub(super) fn sheet(
     let height = fit(available, 2.0, shape.rows, shape.columns).height;
     // The upright names need some length.
     let pitch = (height + gap).max(108.0);
-    let group = HEAD + lines.len() as f64 * pitch + 4.0;
-    let groups = bins.chunks(across);
+    let (stamps, head) = stamps(input, bins, cell);
+    let group = head + lines.len() as f64 * pitch + 4.0;
+    let groups = bins.chunks(across).zip(stamps.chunks(across));
     figure.set_height(top + groups.len() as f64 * group);
-    for (top, bins) in groups
-        .enumerate()
-        .map(|(i, bins)| (top + i as f64 * group, bins))
-    {
+    for (i, (bins, stamps)) in groups.enumerate() {
+        let top = top + i as f64 * group;
         for (row, line) in lines.iter().enumerate() {
-            let y = top + HEAD + row as f64 * pitch;
+            let y = top + head + row as f64 * pitch;
             let mut last = available;
-            for (i, &bin) in bins.iter().enumerate() {
+            for (i, (&bin, text)) in bins.iter().zip(stamps).enumerate() {
                 let available = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
                 last = put(figure, available, (line.picture)(bin));
                 if row == 0 {
-                    stamp(figure, input, last, bin);
+                    stamp(figure, last, text);
                 }
             }
             figure.text_upwards(left - 8.0, y + height / 2.0, "strong", line.name);
@@ -199,13 +231,14 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
     let cell = (800.0 - BAR_ROOM - gap * (across as f64 - 1.0)) / across as f64;
     let available = Rect::new(0.0, 0.0, cell, 1.4 * cell);
     let height = fit(available, 2.0, shape.rows, shape.columns).height;
-    let pitch = HEAD + height.max(84.0) + gap;
+    let (stamps, head) = stamps(input, bins, cell);
+    let pitch = head + height.max(84.0) + gap;
     let mut figure = Figure::new(800.0, bins.len().div_ceil(across) as f64 * pitch);
-    for (i, &bin) in bins.iter().enumerate() {
+    for (i, (&bin, text)) in bins.iter().zip(&stamps).enumerate() {
         let (column, line) = ((i % across) as f64, (i / across) as f64);
-        let available = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
+        let available = Rect::new(column * (cell + gap), head + line * pitch, cell, 1.4 * cell);
         let place = put(&mut figure, available, reconstructed(input, videos, bin));
-        stamp(&mut figure, input, place, bin);
+        stamp(&mut figure, place, text);
         if (i + 1) % across == 0 || i + 1 == bins.len() {
             colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "counts");
         }
@@ -235,6 +268,15 @@ mod tests {
         assert_eq!(spread(54, 6), [4, 13, 22, 31, 40, 49]);
         assert_eq!(spread(2, 6), [0, 1]);
         assert_eq!(spread(1, 8), [0]);
+    }
+
+    #[test]
+    fn long_rows_stand_in_lines() {
+        let rows = "rows 27–29, 105–107";
+        assert_eq!(in_lines(rows, 140.0), [rows]);
+        assert_eq!(in_lines(rows, 110.0), ["rows 27–29,", "105–107"]);
+        assert_eq!(in_lines(rows, 1.0), ["rows 27–29,", "105–107"]);
+        assert!(in_lines("", 110.0).is_empty());
     }
 
     #[test]

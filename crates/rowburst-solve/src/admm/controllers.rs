@@ -140,7 +140,7 @@ impl Controllers {
             && self.active_set.is_settled()
     }
 
-    /// Whether the iteration is the same map as the last one, on a support: the run is settled, and no weight has changed.
+    /// Whether the iteration is a map, on a support, that later ones repeat: the run is settled, and no weight has changed.
     pub fn is_fixed_map(&self) -> bool {
         self.is_settled() && self.active_set.support().is_some() && !self.has_new_weights
     }

@@ -155,7 +155,8 @@ pub struct Progress<'a> {
     /// `τ` of this iteration.
     pub tau: f64,
     /// Relative change of the iteration: `‖q − q'‖/‖v'‖`, with `q'` and `v'` those of the iteration before and
-    /// `v = prox(q)`, or 1 where `v' = 0`. Under the same prox the video moves no farther than `q`.
+    /// `v = prox(q)`, or 1 where `v' = 0`. Under the same prox the video moves no farther than `q`. Acceleration of a settled
+    /// run, which moves `q` on, does not count.
     pub change: f64,
     /// Part of the voxels that are active, from 0 to 1.
     pub support_fraction: f64,
@@ -315,12 +316,13 @@ impl Admm {
         let support = controllers.active_set.x_step_support();
         let rho = controllers.penalty.rho();
         let change = variables.x_step(data, rho, self.relaxation, support)?;
-        if controllers.is_fixed_map() {
-            prior.refine();
-            acceleration.accelerate(variables, support);
+        let is_accelerated = if controllers.is_fixed_map() {
+            acceleration.accelerate(variables, support)
         } else {
             acceleration.forget();
-        }
+            false
+        };
+        prior.set_refined(is_accelerated);
         variables.z_step(prior, controllers.threshold(variables));
         variables.dual_step(data);
         Some(change)
@@ -396,6 +398,11 @@ impl Admm {
     /// `A v` of that video.
     pub fn fitted(&self) -> &[f32] {
         &self.variables.az
+    }
+
+    /// Says that the data term holds other measurements from now on, and the run goes on as it was.
+    pub fn replace_measurements(&mut self) {
+        self.acceleration.forget();
     }
 
     /// Continues with `data`, which hold another frame, from the end of the last frame's run.

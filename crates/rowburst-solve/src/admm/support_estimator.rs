@@ -168,7 +168,8 @@ impl SupportEstimator {
     /// The underfit bins: their `residual_rms` is above `reference` by [`Tuning::underfit_ratio`] and above
     /// [`Tuning::stall_ratio`] of the last one.
     ///
-    /// Unrestricted bins are never underfit, nor are those that were widened [`KindTuning::max_widenings`] times. `residual_rms` is kept for the next call.
+    /// Unrestricted bins are never underfit, nor are those that were widened [`KindTuning::max_widenings`] times.
+    /// `residual_rms` is kept for the next call.
     pub fn underfit_bins(&mut self, residual_rms: Vec<f64>, reference: f64) -> Vec<usize> {
         let is_underfit = |t: &usize| {
             let (now, before) = (residual_rms[*t], self.residual_rms[*t]);
@@ -367,9 +368,14 @@ mod tests {
         let support = estimator.update(&video, 1.0, None);
         assert_eq!(support.mask()[81 + 10], 1);
         assert_eq!(support.pixels_of(1).unwrap().len(), 9 + 1);
-        // However often it is widened, it is not unrestricted.
-        for _ in 0..9 {
-            estimator.update(&video, 1.0, second_bin(&lacking));
+        // It is widened four times at most, and not unrestricted.
+        estimator.underfit_bins(vec![1.0, 9.0], 1.0);
+        for times in 1..9 {
+            let underfit = estimator.underfit_bins(vec![1.0, 9.0], 1.0);
+            assert_eq!(underfit.is_empty(), times >= 4, "{times}");
+            let lacking = second_bin(&lacking).filter(|_| !underfit.is_empty());
+            estimator.update(&video, 1.0, lacking);
+            estimator.underfit_bins(vec![1.0, 9.0], 1.0);
         }
         assert!(estimator.support().unwrap().pixels_of(1).is_some());
     }

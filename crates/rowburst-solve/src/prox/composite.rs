@@ -17,7 +17,7 @@
 //! **Accuracy.** `R` is homogeneous, so the duality gap of the prox at `z(p)` is `s R(z) − ⟨q − z, z⟩`. The prox is
 //! strongly convex, so `‖z − prox(q)‖ ≤ √(2 gap)`. A call takes steps until this bound is below the movement of `q`
 //! since the last call, which is the outer solver's own error (a relative-error criterion as in Eckstein & Yao 2018).
-//! It takes at least 2 and at most 4 steps (docs/design/012).
+//! It takes at least 2 and at most 4 steps, 6 where it is refined (docs/design/012, 033).
 
 use super::dual::DualTerm;
 use super::term::{Coupling, TermForm, TermSpec};
@@ -58,6 +58,8 @@ pub struct Composite {
     terms: Vec<WeightedTerm>,
     min_steps: usize,
     max_steps: usize,
+    /// See [`Prox::set_refined`].
+    is_refined: bool,
     /// `q` of the last call with duals; empty before it.
     last: Vec<f32>,
     /// Buffer for `q − Σ K_iᵀ p_i`; empty without terms.
@@ -82,6 +84,7 @@ impl Composite {
             terms: Vec::new(),
             min_steps: MIN_STEPS,
             max_steps: MAX_STEPS,
+            is_refined: false,
             last: Vec::new(),
             point: Vec::new(),
             scale: 0.0,
@@ -184,7 +187,12 @@ impl Prox for Composite {
         };
         self.last.clear();
         self.last.extend_from_slice(q);
-        for step in 1..=self.max_steps {
+        let max_steps = if self.is_refined {
+            self.max_steps.max(REFINED_STEPS)
+        } else {
+            self.max_steps
+        };
+        for step in 1..=max_steps {
             let gap = self.step_duals(q, z, norms);
             if step > self.min_steps && (2.0 * gap).sqrt() <= ACCURACY * moved {
                 break;
@@ -216,8 +224,8 @@ impl Prox for Composite {
         self.variation.restrict(support);
     }
 
-    fn refine(&mut self) {
-        self.max_steps = self.max_steps.max(REFINED_STEPS);
+    fn set_refined(&mut self, is_refined: bool) {
+        self.is_refined = is_refined;
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {

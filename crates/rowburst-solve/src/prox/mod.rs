@@ -68,8 +68,9 @@ pub trait Prox: DynClone + Send {
     /// Restricts all later calls of [`Self::prox`] to videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 
-    /// From now on an iterative prox takes more steps a call, for an outer solver that accelerates its iteration.
-    fn refine(&mut self) {}
+    /// Whether an iterative prox takes up to six steps in further calls, in place of at least two: a solver whose `q` moves fast,
+    /// since it accelerates its iteration, needs them. Other priors need not do anything.
+    fn set_refined(&mut self, _is_refined: bool) {}
 
     /// `v −= c`, with `c` the dual point at which the last call of [`Self::prox`] ended.
     ///

@@ -35,8 +35,8 @@ impl Prox for Restricted {
         self.prior.restrict(&support.intersect(&self.allowed));
     }
 
-    fn refine(&mut self) {
-        self.prior.refine();
+    fn set_refined(&mut self, is_refined: bool) {
+        self.prior.set_refined(is_refined);
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {

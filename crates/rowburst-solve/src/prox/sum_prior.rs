@@ -57,9 +57,9 @@ impl Prox for SumPrior {
         self.first.restrict(support);
     }
 
-    fn refine(&mut self) {
-        self.first.refine();
-        self.second.refine();
+    fn set_refined(&mut self, is_refined: bool) {
+        self.first.set_refined(is_refined);
+        self.second.set_refined(is_refined);
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {

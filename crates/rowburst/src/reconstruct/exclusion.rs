@@ -264,6 +264,7 @@ impl Problem {
             let scales = Scales::Fitting { level };
             let robust = Residual::new(pixels, fitted, &none, scales);
             self.data.set_measurements(robust.bounded());
+            run.admm.replace_measurements();
             until += CHECK_STEP;
         }
     }

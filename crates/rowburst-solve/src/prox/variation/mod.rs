@@ -31,7 +31,7 @@ use wavefront::{BinView, Previous, SpatialDuals, Stencil, Tile, Wavefront};
 /// (docs/design/012).
 const STEPS_PER_SWEEP: usize = 2;
 
-/// Dual steps of a call after [`Prox::refine`]; fewer make LEDs take more iterations, more cost time
+/// Fewest dual steps of a call that is refined, see [`Prox::set_refined`]; fewer make LEDs take more iterations, more cost time
 /// (docs/design/033).
 pub(super) const REFINED_STEPS: usize = 6;
 
@@ -68,6 +68,8 @@ pub struct Variation {
     weights: VariationWeights,
     /// Dual steps of a call.
     steps_per_call: usize,
+    /// See [`Prox::set_refined`].
+    is_refined: bool,
     dual_y: Vec<Dual>,
     dual_x: Vec<Dual>,
     dual_t: Vec<Dual>,
@@ -96,6 +98,7 @@ impl Variation {
             shape,
             weights,
             steps_per_call: STEPS_PER_SWEEP,
+            is_refined: false,
             dual_y: zeros(space),
             dual_x: zeros(space),
             dual_t: zeros(time),
@@ -377,10 +380,10 @@ impl Prox for Variation {
         assert_eq!(q.len(), self.shape.voxels(), "length of the point");
         assert_eq!(z.len(), self.shape.voxels(), "length of the result");
         self.scale = scale;
-        let mut left = if self.is_dual() {
-            self.steps_per_call
-        } else {
-            0
+        let mut left = match (self.is_dual(), self.is_refined) {
+            (false, _) => 0,
+            (true, false) => self.steps_per_call,
+            (true, true) => self.steps_per_call.max(REFINED_STEPS),
         };
         while left > STEPS_PER_SWEEP {
             self.sweep(q, scale, z, STEPS_PER_SWEEP, false);
@@ -442,8 +445,8 @@ impl Prox for Variation {
         self.support = Some(support.clone());
     }
 
-    fn refine(&mut self) {
-        self.steps_per_call = self.steps_per_call.max(REFINED_STEPS);
+    fn set_refined(&mut self, is_refined: bool) {
+        self.is_refined = is_refined;
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {
