@@ -131,7 +131,8 @@ fn short_runs_add_up() {
     assert!(course[14] > course[0] + 10.0, "{course:.1?}");
 }
 
-/// The support follows a scene that moves, also where a frame has as many iterations as lie between two updates.
+/// The support follows a scene that moves, also where a frame has as many iterations as lie between two updates. After many
+/// moves the last video may explain too little of a frame, which then begins afresh.
 #[test]
 fn a_moving_scene_is_followed() {
     let model = model();
@@ -140,7 +141,7 @@ fn a_moving_scene_is_followed() {
         let mut sequence = Sequence::new(model.clone(), options());
         let first = measured(&model, &truth, 1);
         sequence.reconstruct(&first, &mut after(1000)).unwrap();
-        let mut course = Vec::new();
+        let (mut course, mut fresh_starts) = (Vec::new(), 0);
         for seed in 2..20 {
             if seed % 3 == 0 {
                 truth = moved(&truth);
@@ -149,11 +150,12 @@ fn a_moving_scene_is_followed() {
             let (found, is_warm_started) = sequence
                 .reconstruct(&frame, &mut after(iterations))
                 .unwrap();
-            assert!(is_warm_started);
+            fresh_starts += usize::from(!is_warm_started);
             course.push(psnr_db(found.video.data(), truth.data()));
         }
         let is_good = course.iter().all(|db| *db > 22.0);
         assert!(is_good, "{iterations} iterations a frame: {course:.1?}");
+        assert!(fresh_starts <= 1, "{fresh_starts}: {course:.1?}");
     }
 }
 
