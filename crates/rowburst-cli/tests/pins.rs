@@ -19,8 +19,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Relative error within which a video on another kind of processor is the same.
-const SAME: f64 = 1e-5;
+/// Relative error within which a video on another kind of processor is the same: the acceleration of settled runs amplifies
+/// rounding, to 2e-5 of a video between AVX-512 and portable instructions. A change of the algorithm changes 1e-3 and more.
+const SAME: f64 = 1e-4;
 
 /// Sums in the sketch of a video.
 const SKETCH: usize = 64;
