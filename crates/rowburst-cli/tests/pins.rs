@@ -20,7 +20,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Relative error within which a video on another kind of processor is the same: the acceleration of settled runs amplifies
-/// rounding, to 2e-5 of a video between AVX-512 and portable instructions. A change of the algorithm changes 1e-3 and more.
+/// rounding, to 2e-5 of a video between AVX-512 and portable instructions (docs/design/033).
 const SAME: f64 = 1e-4;
 
 /// Sums in the sketch of a video.

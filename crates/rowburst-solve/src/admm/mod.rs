@@ -400,7 +400,8 @@ impl Admm {
         &self.variables.az
     }
 
-    /// Says that the data term holds other measurements from now on, and the run goes on as it was.
+    /// Is to be called after the measurements of the data term were replaced, where the run goes on as it was: iterations that it
+    /// remembers were those of the old ones.
     pub fn replace_measurements(&mut self) {
         self.acceleration.forget();
     }

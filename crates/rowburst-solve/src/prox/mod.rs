@@ -68,8 +68,8 @@ pub trait Prox: DynClone + Send {
     /// Restricts all later calls of [`Self::prox`] to videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 
-    /// Whether an iterative prox takes up to six steps in further calls, in place of at least two: a solver whose `q` moves fast,
-    /// since it accelerates its iteration, needs them. Other priors need not do anything.
+    /// Whether further calls of an iterative prox take more steps. A solver that accelerates its iteration moves `q` fast, and
+    /// needs a result that does not lag behind. Does nothing where the prox is exact.
     fn set_refined(&mut self, _is_refined: bool) {}
 
     /// `v −= c`, with `c` the dual point at which the last call of [`Self::prox`] ended.
