@@ -154,3 +154,61 @@ impl ConjugateGradient {
         is_reached(&residual, y)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst_core::Shape;
+
+    const N: usize = 6;
+
+    /// `A = I`.
+    struct Identity;
+
+    impl LinearOperator for Identity {
+        fn domain_len(&self) -> usize {
+            N
+        }
+
+        fn range_len(&self) -> usize {
+            N
+        }
+
+        fn apply(&self, x: &[f32], y: &mut [f32]) {
+            y.copy_from_slice(x);
+        }
+
+        fn adjoint(&self, y: &[f32], x: &mut [f32]) {
+            x.copy_from_slice(y);
+        }
+    }
+
+    /// No preconditioning.
+    struct Plain;
+
+    impl Preconditioner for Plain {
+        fn max_iterations(&self, _: bool, _: bool) -> usize {
+            5
+        }
+
+        fn apply(&mut self, r: &[f32], _: f64, out: &mut [f32]) {
+            out.copy_from_slice(r);
+        }
+    }
+
+    /// A residual within the tolerance is lowered on a support, so that errors do not add up from call to call.
+    #[test]
+    fn a_call_on_a_support_takes_an_iteration() {
+        for is_restricted in [false, true] {
+            let mut solver = ConjugateGradient::new(Box::new(Plain), N);
+            if is_restricted {
+                solver.restrict(&Support::full(Shape::new(1, 2, 3)), Box::new(Plain));
+            }
+            let (mut y, mut gram_y) = (vec![0.0; N], vec![0.0; N]);
+            for (r, expected) in [(2.0, 1.0), (2.02, if is_restricted { 1.01 } else { 1.0 })] {
+                assert!(solver.solve(&Identity, &[r; N], 1.0, 0.1, &mut y, &mut gram_y));
+                assert!(y.iter().all(|y| (y - expected).abs() < 1e-5), "{y:?}");
+            }
+        }
+    }
+}
