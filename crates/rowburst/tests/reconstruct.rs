@@ -143,6 +143,29 @@ fn every_kind_of_camera_gives_a_good_video() {
     assert!(!failed, "a video is worse than it should be");
 }
 
+/// A frame that sees too little of a scene does not predict held-out pixels, though nothing is wrong with it. A noise level by
+/// their error would blur the video.
+#[test]
+fn a_frame_that_sees_too_little_of_the_scene_is_not_smoothed() {
+    for (exposure_us, digit_px) in [(10.0, 18), (25.0, 16)] {
+        let camera = camera((64, 64), Shutter::DualInsideOut, exposure_us, None);
+        let truth = scene::digits(camera.video_shape(), digit_px, 1).unwrap();
+        let case = Case::of_scene(camera, truth, 0.5);
+        let found = case.solve(Options::default());
+        let with_known_noise = case.solve(Options {
+            prior: Some(Prior::STANDARD),
+            noise_sigma: Some(case.sigma),
+            self_calibration: SelfCalibration::OFF,
+            keep_all_pixels: true,
+            ..Options::default()
+        });
+        let (psnr, known) = (case.psnr(&found), case.psnr(&with_known_noise));
+        println!("{exposure_us} µs: {psnr:.1} dB, {known:.1} with known noise");
+        assert_eq!(found.effective_sigma, found.sigma, "{exposure_us} µs");
+        assert!(psnr > known - 1.0, "{psnr} dB, {known} dB with known noise");
+    }
+}
+
 /// A PSF that is cut off leaves pixels dark, which have a fiftieth of the noise of others. Where rows share bins, no step of the
 /// solver would be accurate with their weights.
 #[test]

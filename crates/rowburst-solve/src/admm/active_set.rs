@@ -58,6 +58,11 @@ impl ActiveSet {
         self.estimator.x_step_support()
     }
 
+    /// See [`AdmmParams::support`].
+    pub fn is_used(&self) -> bool {
+        self.is_used
+    }
+
     /// Part of the voxels that are active, from 0 to 1.
     pub fn fraction(&self) -> f64 {
         self.estimator.fraction()

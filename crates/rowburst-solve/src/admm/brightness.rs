@@ -25,7 +25,29 @@ pub fn brightness(video: &[f32]) -> f64 {
     brightness_of(sums)
 }
 
-/// The same, but at most [`Tuning::max_brightness_ratio`] times that of the dim bins, which would be faint beside a flash. The
+/// The voxels of equal brightness that would share the light of `video` alike: its participation ratio `(Σ v)² / Σ v²`. It is
+/// 0 for a dark video.
+pub(super) fn participation(video: &[f32]) -> f64 {
+    let parts: Vec<(f64, f64)> = video
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            chunk.iter().fold((0.0, 0.0), |(light, second), &v| {
+                let v = f64::from(v);
+                (light + v, second + v * v)
+            })
+        })
+        .collect();
+    let (light, second) = parts
+        .iter()
+        .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
+    if second > 0.0 {
+        light * light / second
+    } else {
+        0.0
+    }
+}
+
+/// [`brightness`], but at most [`Tuning::max_brightness_ratio`] times that of the dim bins, which would be faint beside a flash. The
 /// bins are taken from the dimmest on until they hold more than [`Tuning::dim_part`] of `Σ v²`, and the last of these counts.
 /// `pixels` is the number of pixels of a bin.
 pub(super) fn capped_brightness(video: &[f32], pixels: usize, tuning: &Tuning) -> f64 {
@@ -87,6 +109,16 @@ mod tests {
         video[..100].fill(2.0);
         assert!((brightness(&video) - 2.0).abs() < 1e-4);
         assert_eq!(brightness(&[-1.0, 0.0]), 0.0);
+    }
+
+    #[test]
+    fn participation_counts_voxels_that_share_the_light() {
+        let mut video = vec![0.0f32; 3 * CHUNK];
+        assert_eq!(participation(&video), 0.0);
+        video[..2 * CHUNK].fill(0.5);
+        assert_eq!(participation(&video), 2.0 * CHUNK as f64);
+        video[0] = 1e6;
+        assert!((participation(&video) - 1.0).abs() < 0.05);
     }
 
     #[test]

@@ -62,7 +62,7 @@ mod tests {
         let mut betas = Vec::new();
         for _ in 0..60 {
             schedule.finish_iteration();
-            schedule.advance(|| false);
+            schedule.advance(false);
             if continuation.is_due(&schedule) {
                 let beta = continuation.beta(1.0, &schedule).unwrap();
                 betas.push((schedule.step(), (beta * 1e6).round() / 1e6));

@@ -4,7 +4,7 @@
 //! settled, and acts between runs by [`Controllers::set_tau_rule`].
 
 use super::active_set::{ActiveSet, Restriction};
-use super::brightness::{brightness, capped_brightness};
+use super::brightness::{brightness, capped_brightness, participation};
 use super::continuation::Continuation;
 use super::discrepancy::Discrepancy;
 use super::noise_weights::NoiseWeights;
@@ -12,7 +12,7 @@ use super::penalty::{Circumstances, Penalty};
 use super::phase::{DeclineDetector, Phase, Schedule};
 use super::stopping::Supports;
 use super::variables::Variables;
-use super::{AdmmParams, TauRule, Tuning};
+use super::{AdmmParams, KindTuning, TauRule, Tuning};
 use crate::DataTerm;
 use crate::prox::Prox;
 use rowburst_core::Shape;
@@ -30,8 +30,7 @@ pub(super) struct Controllers {
     decline: DeclineDetector,
     /// Whether the weights of the measurements changed before the present iteration.
     has_new_weights: bool,
-    /// See [`super::tuning::KindTuning::brightness_capped_from`].
-    brightness_capped_from: usize,
+    kind_tuning: KindTuning,
     tuning: Tuning,
 }
 
@@ -49,7 +48,7 @@ impl Controllers {
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
             has_new_weights: false,
-            brightness_capped_from: tuning.for_kind(kind).brightness_capped_from,
+            kind_tuning: *tuning.for_kind(kind),
             tuning: *tuning,
         };
         controllers.set_tau_rule(params.tau, data);
@@ -100,10 +99,10 @@ impl Controllers {
         }
         self.penalty.begin_iteration();
         self.correct_penalty(variables, data);
-        self.advance_phase(variables);
+        self.advance_phase(variables, data);
         self.update_bound(variables, data, prior);
         if self.continuation.is_due(&self.schedule) {
-            self.set_threshold(variables);
+            self.set_threshold(variables, data);
         }
         if self.active_set.is_due(&self.schedule) {
             self.update_active_set(variables, data, prior);
@@ -168,12 +167,35 @@ impl Controllers {
         self.penalty.correct(bound, x_residual_norm, now);
     }
 
-    fn advance_phase(&mut self, variables: &Variables) {
-        let shape = self.shape;
-        let is_undersampled = shape.voxels() > self.tuning.undersampled * variables.az.len();
-        let decline = &mut self.decline;
-        self.schedule
-            .advance(|| is_undersampled && decline.is_rising(&variables.z, shape));
+    fn advance_phase(&mut self, variables: &Variables, data: &dyn DataTerm) {
+        let must_wait =
+            self.schedule.has_ended_warm_up() && self.takes_shape_slowly(variables, data);
+        self.schedule.advance(must_wait);
+    }
+
+    /// Whether the video is still taking shape at the end of the warm-up, see [`Phase::Waiting`].
+    fn takes_shape_slowly(&mut self, variables: &Variables, data: &dyn DataTerm) -> bool {
+        let tuning = &self.tuning;
+        let (shape, done) = (self.shape, self.schedule.iterations());
+        let is_undersampled = shape.voxels() > tuning.undersampled * variables.az.len();
+        if is_undersampled && done < tuning.latest_first_restriction {
+            return self.decline.is_rising(&variables.z, shape);
+        }
+        done < self.kind_tuning.latest_extended_restriction && self.extent(variables, data) > 1.0
+    }
+
+    /// How far the scene is extended for its measurements: the participation of the video over [`Tuning::extended`] of the
+    /// number of measurements. Above 1 the scene is extended: no restriction leaves far fewer voxels than measurements, and
+    /// a larger `β` alone removes its haze (docs/design/034). It is 0 where no support is used, and in the first
+    /// [`Tuning::extended_from`] iterations of a run, in which every scene is haze.
+    fn extent(&self, variables: &Variables, data: &dyn DataTerm) -> f64 {
+        // A wait goes back in steps, a warm start in iterations.
+        let done = self.schedule.step().max(self.schedule.iterations());
+        if !self.active_set.is_used() || done < self.tuning.extended_from {
+            return 0.0;
+        }
+        let least = self.tuning.extended * data.measurement_count() as f64;
+        participation(self.foreground(variables)) / least
     }
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
@@ -192,15 +214,25 @@ impl Controllers {
         prior.degrees_of_freedom(&variables.z, faint as f32)
     }
 
-    fn set_threshold(&mut self, variables: &Variables) {
+    fn set_threshold(&mut self, variables: &Variables, data: &dyn DataTerm) {
         let foreground = self.foreground(variables);
-        let bright = if self.schedule.step() < self.brightness_capped_from {
+        let bright = if self.schedule.step() < self.kind_tuning.brightness_capped_from {
             brightness(foreground)
         } else {
             capped_brightness(foreground, self.shape.pixels(), &self.tuning)
         };
+        let factor = self.extended_factor(variables, data);
         self.penalty
-            .set_beta_or_keep(self.continuation.beta(bright, &self.schedule));
+            .set_beta_or_keep(self.continuation.beta(factor * bright, &self.schedule));
+    }
+
+    /// The factor on `β` of an extended scene, see [`KindTuning::max_extended_factor`].
+    fn extended_factor(&self, variables: &Variables, data: &dyn DataTerm) -> f64 {
+        let largest = self.kind_tuning.max_extended_factor;
+        if largest <= 1.0 {
+            return 1.0;
+        }
+        self.extent(variables, data).clamp(1.0, largest)
     }
 
     fn update_active_set(
@@ -355,10 +387,73 @@ mod tests {
             while controllers.schedule.step() < step {
                 controllers.schedule.finish_iteration();
             }
-            controllers.set_threshold(&variables);
+            controllers.set_threshold(&variables, &data);
             let beta = controllers.continuation.beta(bright, &controllers.schedule);
             assert_eq!(Some(controllers.penalty.beta()), beta, "step {step}");
         }
+    }
+
+    /// The controllers of a run after `iterations`, and its video of so many voxels of brightness 1. With 100 measurements,
+    /// more than 35 such voxels are an extended scene.
+    fn run_of_even_voxels(
+        voxels: usize,
+        iterations: usize,
+        params: &AdmmParams,
+    ) -> (Controllers, Variables, RecordingData) {
+        let shape = Shape::new(1, 9, 9);
+        let data = RecordingData(Calls::default());
+        let mut controllers = Controllers::new(&data, shape, params);
+        let mut variables = Variables::new(&data, shape.columns);
+        variables.z[..voxels].fill(1.0);
+        for _ in 0..iterations {
+            controllers.schedule.finish_iteration();
+        }
+        (controllers, variables, data)
+    }
+
+    /// Parameters that look for extended scenes.
+    fn params_for_extended_scenes(support: bool) -> AdmmParams {
+        let mut params = AdmmParams::new(TauRule::Discrepancy { sigma: 1.0 });
+        params.support = support;
+        params.tuning.small.max_extended_factor = 3.0;
+        params.tuning.small.latest_extended_restriction = 60;
+        params
+    }
+
+    #[test]
+    fn an_extended_scene_takes_a_larger_threshold() {
+        let factor = |voxels, iterations, params: AdmmParams| {
+            let (mut controllers, variables, data) =
+                run_of_even_voxels(voxels, iterations, &params);
+            controllers.set_threshold(&variables, &data);
+            let beta = controllers.continuation.beta(1.0, &controllers.schedule);
+            (controllers.penalty.beta() / beta.unwrap() * 1e6).round() / 1e6
+        };
+        let params = params_for_extended_scenes(true);
+        assert_eq!(factor(35, 20, params), 1.0);
+        assert_eq!(factor(70, 20, params), 2.0);
+        assert_eq!(factor(70, 19, params), 1.0);
+        assert_eq!(factor(70, 20, params_for_extended_scenes(false)), 1.0);
+        assert_eq!(factor(70, 20, AdmmParams::new(params.tau)), 1.0);
+    }
+
+    #[test]
+    fn a_video_that_takes_shape_slowly_is_restricted_later() {
+        let iterations = |voxels, params: AdmmParams| {
+            let (mut controllers, variables, data) = run_of_even_voxels(voxels, 10, &params);
+            while controllers.schedule.is_warming_up() {
+                controllers.schedule.finish_iteration();
+                controllers.advance_phase(&variables, &data);
+            }
+            controllers.schedule.iterations()
+        };
+        let params = params_for_extended_scenes(true);
+        assert_eq!(iterations(35, params), 20);
+        assert_eq!(iterations(70, params), 60);
+        assert_eq!(iterations(70, params_for_extended_scenes(false)), 20);
+        let mut undersampled = params;
+        undersampled.tuning.undersampled = 0;
+        assert_eq!(iterations(35, undersampled), 150);
     }
 
     /// All controllers act before iteration 21.

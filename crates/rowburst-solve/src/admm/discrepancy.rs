@@ -64,7 +64,7 @@ mod tests {
         let mut steps = Vec::new();
         for _ in 0..55 {
             schedule.finish_iteration();
-            schedule.advance(|| false);
+            schedule.advance(false);
             if discrepancy.is_due(&schedule) {
                 steps.push(schedule.step());
             }

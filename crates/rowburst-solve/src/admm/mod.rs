@@ -16,7 +16,8 @@
 //! first to its last iteration is told in `docs/design/027`.
 //!
 //! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
-//! is larger: large steps find the shapes, small ones the details (`docs/design/006`). The brightness is
+//! is larger: large steps find the shapes, small ones the details (`docs/design/006`). Where rows share bins, it is also larger
+//! for a scene with much light for the number of measurements, which is haze for long (`docs/design/034`). The brightness is
 //! at most twice that of the dimmest bins that hold 10 % of `Σ v²`, which would be faint beside a flash
 //! (`docs/design/007`).
 //!
@@ -34,8 +35,9 @@
 //! voxels to which the residual points, `Aᵀ(b − A v)`, are added; in the end all of its voxels are active
 //! (`docs/design/007`). In a wide problem, see [`ProblemKind`](super::ProblemKind), an underfit bin is unrestricted at
 //! once, and after some updates restricted again. Where rows share bins, the first restriction comes later, and
-//! underfit bins are widened gently and not unrestricted (`docs/design/025`). With hundreds of voxels for each pixel of the frame a video takes
-//! shape slowly, and the first restriction waits for it (`docs/design/008`).
+//! underfit bins are widened gently and not unrestricted (`docs/design/025`). A video that takes shape slowly is restricted later:
+//! one with hundreds of voxels for each pixel of the frame (`docs/design/008`), and where rows share bins an extended scene
+//! (`docs/design/034`).
 //!
 //! **Acceleration.** On a support that no longer changes an iteration is a fixed map, and Anderson acceleration needs fewer of
 //! them (`acceleration.rs`, `docs/design/033`).

@@ -46,7 +46,7 @@ mod tests {
         let mut steps = Vec::new();
         for _ in 0..310 {
             schedule.finish_iteration();
-            schedule.advance(|| false);
+            schedule.advance(false);
             if weights.is_due(&schedule) {
                 steps.push(schedule.step());
             }

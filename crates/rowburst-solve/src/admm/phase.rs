@@ -13,11 +13,14 @@ use rowburst_core::Shape;
 pub(super) enum Phase {
     /// The video takes shape while `β` falls. Ends at step [`KindTuning::first_restriction`].
     WarmUp,
-    /// The warm-up of an undersampled video: with hundreds of voxels for each pixel of the frame its bins still get
-    /// brighter where others do not change any more, and a restriction would cut off light that still rises. Repeats the
-    /// last [`Tuning::decline_window`] steps of the warm-up. Ends once every bin has become darker over such a window or
-    /// was found dark, or at iteration [`Tuning::latest_first_restriction`].
-    WaitingForDecline,
+    /// The warm-up of a video that takes shape slowly. Repeats the last [`Tuning::decline_window`] steps of the warm-up.
+    ///
+    /// With hundreds of voxels for each pixel of the frame bins still get brighter where others do not change any more, and a
+    /// restriction would cut off light that still rises. Such a wait ends once every bin has become darker over a window or
+    /// was found dark, or at iteration [`Tuning::latest_first_restriction`]. An extended scene, see
+    /// [`super::controllers::Controllers::extent`], is still haze, which a restriction would keep: its wait ends once it is no
+    /// longer extended, or at iteration [`KindTuning::latest_extended_restriction`].
+    Waiting,
     /// The video is restricted to its support, and `β` follows its brightness. Ends at step [`KindTuning::settled_from`].
     Settling,
     /// `β` is constant, and the run stops as soon as its certificate permits. Ends with the run.
@@ -63,7 +66,7 @@ impl Schedule {
 
     /// Whether the video is still taking shape.
     pub fn is_warming_up(&self) -> bool {
-        matches!(self.phase, Phase::WarmUp | Phase::WaitingForDecline)
+        matches!(self.phase, Phase::WarmUp | Phase::Waiting)
     }
 
     /// Whether the step of the first restriction is reached, though the video may wait.
@@ -82,29 +85,20 @@ impl Schedule {
         self.step += 1;
     }
 
-    /// Enters the next phase if the present one has ended. `must_wait` is asked at the end of the warm-up.
-    pub fn advance(&mut self, must_wait: impl FnOnce() -> bool) {
-        let KindTuning {
-            first_restriction,
-            settled_from,
-            ..
-        } = self.kind_tuning;
-        let Tuning {
-            decline_window,
-            latest_first_restriction,
-            ..
-        } = self.tuning;
-        match self.phase {
-            Phase::WarmUp | Phase::WaitingForDecline if self.step >= first_restriction => {
-                if self.iterations < latest_first_restriction && must_wait() {
-                    self.phase = Phase::WaitingForDecline;
-                    self.step = self.step.saturating_sub(decline_window);
-                } else {
-                    self.phase = Phase::Settling;
-                }
-            }
-            Phase::Settling if self.step >= settled_from => self.phase = Phase::Settled,
-            _ => {}
+    /// Whether the video is still taking shape though all steps of the warm-up are done.
+    pub fn has_ended_warm_up(&self) -> bool {
+        self.is_warming_up() && self.step >= self.kind_tuning.first_restriction
+    }
+
+    /// Enters the next phase if the present one has ended. At the end of the warm-up `must_wait` repeats its last steps.
+    pub fn advance(&mut self, must_wait: bool) {
+        if self.has_ended_warm_up() && must_wait {
+            self.phase = Phase::Waiting;
+            self.step = self.step.saturating_sub(self.tuning.decline_window);
+        } else if self.has_ended_warm_up() {
+            self.phase = Phase::Settling;
+        } else if self.phase == Phase::Settling && self.step >= self.kind_tuning.settled_from {
+            self.phase = Phase::Settled;
         }
     }
 
@@ -170,8 +164,8 @@ mod tests {
         (0..count)
             .map(|_| {
                 schedule.finish_iteration();
-                let done = schedule.iterations();
-                schedule.advance(|| must_wait(done));
+                let must_wait = must_wait(schedule.iterations());
+                schedule.advance(must_wait);
                 schedule.phase()
             })
             .collect()
@@ -193,25 +187,9 @@ mod tests {
         let phases = phases(&mut schedule, 60, |done| done < 33);
         assert!(phases[..19].iter().all(|p| *p == Phase::WarmUp));
         // The bins are looked at after 20, 25, 30 and 35 iterations.
-        assert!(
-            phases[19..34]
-                .iter()
-                .all(|p| *p == Phase::WaitingForDecline)
-        );
+        assert!(phases[19..34].iter().all(|p| *p == Phase::Waiting));
         assert_eq!(phases[34], Phase::Settling);
         assert_eq!((schedule.step(), schedule.iterations()), (45, 60));
-    }
-
-    #[test]
-    fn a_wait_ends_at_the_latest_iteration() {
-        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
-        let phases = phases(&mut schedule, 160, |_| true);
-        assert!(
-            phases[19..149]
-                .iter()
-                .all(|p| *p == Phase::WaitingForDecline)
-        );
-        assert_eq!(phases[149], Phase::Settling);
     }
 
     #[test]

@@ -181,6 +181,12 @@ constants! {
         /// video. Smaller keeps haze in dark bins, larger drops faint light beside bright bins; from 1 on nothing is
         /// lowered (docs/design/007).
         min_bin_brightness: f64,
+        /// Largest factor on `β` of an extended scene, see [`Tuning::extended`]; larger blurs faint parts. At 1 it makes no
+        /// difference (docs/design/034).
+        max_extended_factor: f64,
+        /// Iteration at which an extended scene is restricted at the latest; smaller restricts haze, larger takes more
+        /// iterations. Up to `first_restriction` it makes no difference (docs/design/034).
+        latest_extended_restriction: usize,
     }
     groups {}
 }
@@ -217,6 +223,12 @@ constants! {
         decline_window: usize,
         /// Iteration at which the wait ends at the latest; smaller may cut off light that still rises (docs/design/008).
         latest_first_restriction: usize,
+        /// Participation of the video over the number of measurements above which the scene is extended; smaller gives more
+        /// scenes a larger `β`, which points do not bear (docs/design/034).
+        extended: f64,
+        /// Iteration from which on a scene may be extended; smaller takes the haze of the first steps for a scene
+        /// (docs/design/034).
+        extended_from: usize,
         /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
         continuation_factor: f64,
         /// Steps between updates of `β`; larger follows the brightness less closely (docs/design/006).
@@ -306,6 +318,8 @@ const SMALL: KindTuning = KindTuning {
     max_cut_light: 0.2,
     brightness_capped_from: 20,
     min_bin_brightness: 1.0,
+    max_extended_factor: 1.0,
+    latest_extended_restriction: 1,
 };
 
 impl Default for Tuning {
@@ -324,6 +338,8 @@ impl Tuning {
         decline: 0.005,
         decline_window: 5,
         latest_first_restriction: 150,
+        extended: 0.35,
+        extended_from: 20,
         continuation_factor: 4.0,
         threshold_interval: 5,
         initial_brightness_ratio: 10.0,
@@ -370,6 +386,8 @@ impl Tuning {
             max_cut_light: 1.0,
             brightness_capped_from: 1,
             min_bin_brightness: 0.1,
+            max_extended_factor: 3.0,
+            latest_extended_restriction: 60,
             ..SMALL
         },
     };
@@ -477,6 +495,10 @@ impl Tuning {
             (self.max_freedom < 1.0, "max_freedom is below 1"),
             (self.decline < 1.0, "decline is below 1"),
             (
+                kinds.iter().all(|tuning| tuning.max_extended_factor >= 1.0),
+                "max_extended_factor is at least 1",
+            ),
+            (
                 kinds.iter().all(|tuning| tuning.widening_factor <= 1.0),
                 "widening_factor is at most 1",
             ),
@@ -580,6 +602,7 @@ mod tests {
             ("max_relative_rho", 1e-8),
             ("max_freedom", 1.0),
             ("decline", 1.0),
+            ("coupled.max_extended_factor", 0.5),
             ("small.widening_factor", 2.0),
             ("support_threshold", 1.5),
             ("dim_part", 1.0),

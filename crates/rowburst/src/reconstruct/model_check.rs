@@ -21,6 +21,12 @@ const MAX_EFFECTIVE_SIGMA: f64 = 0.5;
 /// Effective noise level by the check of a refined PSF over that by its search, above which the check has not settled;
 /// smaller follows the error of the model.
 const UNSETTLED: f64 = 2.0;
+/// Residual over `σ` up to which a video explains the pixels that it has seen; larger keeps the noise level of the sensor where
+/// the model is wrong.
+const UNDERSAMPLED_RESIDUAL: f64 = 0.85;
+/// Held-out error at the effective noise level over that at the noise of the sensor, above which the effective one only
+/// smooths; smaller follows errors of the PSF.
+const UNDERSAMPLED_RISE: f64 = 1.15;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -99,7 +105,8 @@ impl Problem {
             let light =
                 norm(self.data.measurements()) / (self.data.measurement_count() as f64).sqrt();
             let most = (MAX_EFFECTIVE_SIGMA * light).max(self.sigma);
-            self.effective_sigma = self.effective_sigma_after(&check).min(most);
+            let found = self.effective_sigma_after(&check).min(most);
+            self.set_effective_sigma(found, &check, prior, observer)?;
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
@@ -239,6 +246,31 @@ impl Problem {
                 checked.max(found)
             }
         }
+    }
+
+    /// Sets the effective noise level to `found`, or keeps that of the sensor where the frame sees too little of the scene. Then
+    /// the video explains the pixels that it has seen and not the held-out ones, and a larger noise level, which smooths it,
+    /// predicts these worse still (docs/design/035).
+    fn set_effective_sigma(
+        &mut self,
+        found: f64,
+        check: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<(), Box<RunResult>> {
+        self.effective_sigma = found;
+        let has_refined_psf = self.calibration.as_ref();
+        let has_refined_psf = has_refined_psf.is_some_and(|c| c.psf_refinement.is_some());
+        let is_known = self.has_wrong_model || self.is_dense || has_refined_psf;
+        let explains_seen_pixels = check.residual_rms <= UNDERSAMPLED_RESIDUAL * self.sigma;
+        if found > self.sigma && explains_seen_pixels && !is_known {
+            let smoothed = self.held_out_check(prior, observer)?;
+            if smoothed.held_out_rms > UNDERSAMPLED_RISE * check.held_out_rms {
+                info!("the frame sees too little of the scene: the noise level is not raised");
+                self.effective_sigma = self.sigma;
+            }
+        }
+        Ok(())
     }
 
     /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, stray light, PSF or camera. Returns
