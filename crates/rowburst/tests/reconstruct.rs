@@ -143,27 +143,92 @@ fn every_kind_of_camera_gives_a_good_video() {
     assert!(!failed, "a video is worse than it should be");
 }
 
+/// 54 digits of this height on 64×64 pixels: much light for the rows of the frame.
+fn extended_case(exposure_us: f64, digit_px: usize) -> Case {
+    let camera = camera((64, 64), Shutter::DualInsideOut, exposure_us, None);
+    let truth = scene::digits(camera.video_shape(), digit_px, 1).unwrap();
+    Case::of_scene(camera, truth, 0.5)
+}
+
+/// Options of a run that corrects neither pixels nor the model.
+fn options_without_corrections() -> Options {
+    Options {
+        self_calibration: SelfCalibration::OFF,
+        keep_all_pixels: true,
+        ..Options::default()
+    }
+}
+
+/// The same with a named prior and the noise known.
+fn options_with_known_noise(case: &Case) -> Options {
+    Options {
+        prior: Some(Prior::STANDARD),
+        noise_sigma: Some(case.sigma),
+        ..options_without_corrections()
+    }
+}
+
 /// A frame that sees too little of a scene does not predict held-out pixels, though nothing is wrong with it. A noise level by
 /// their error would blur the video.
 #[test]
 fn a_frame_that_sees_too_little_of_the_scene_is_not_smoothed() {
     for (exposure_us, digit_px) in [(10.0, 18), (25.0, 16)] {
-        let camera = camera((64, 64), Shutter::DualInsideOut, exposure_us, None);
-        let truth = scene::digits(camera.video_shape(), digit_px, 1).unwrap();
-        let case = Case::of_scene(camera, truth, 0.5);
-        let found = case.solve(Options::default());
-        let with_known_noise = case.solve(Options {
-            prior: Some(Prior::STANDARD),
-            noise_sigma: Some(case.sigma),
-            self_calibration: SelfCalibration::OFF,
-            keep_all_pixels: true,
-            ..Options::default()
-        });
+        let case = extended_case(exposure_us, digit_px);
+        let found = case.solve(options_without_corrections());
+        let with_known_noise = case.solve(options_with_known_noise(&case));
         let (psnr, known) = (case.psnr(&found), case.psnr(&with_known_noise));
         println!("{exposure_us} µs: {psnr:.1} dB, {known:.1} with known noise");
         assert_eq!(found.effective_sigma, found.sigma, "{exposure_us} µs");
         assert!(psnr > known - 1.0, "{psnr} dB, {known} dB with known noise");
     }
+}
+
+/// Whenever it is stopped, the noise level of the result is one that was found to hold.
+#[test]
+fn a_noise_level_that_is_tried_in_vain_leaves_no_trace() {
+    let case = extended_case(10.0, 18);
+    let options = Options {
+        prior: Some(Prior::STANDARD),
+        ..options_without_corrections()
+    };
+    for most in (10..250).step_by(20) {
+        let measurement = Measurement::new(case.frame.clone()).unwrap();
+        let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
+        let mut iterations = 0;
+        let found = problem.solve(&mut |_| {
+            iterations += 1;
+            if iterations < most {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(StopReason::Interrupted)
+            }
+        });
+        let found = found.unwrap();
+        println!(
+            "{most}: {:.1} dB, {}",
+            case.psnr(&found),
+            found.stop_reason.name()
+        );
+        assert_eq!(found.effective_sigma, found.sigma, "{most} iterations");
+        assert_eq!(
+            found.stop_reason,
+            StopReason::Interrupted,
+            "{most} iterations"
+        );
+    }
+}
+
+/// A larger threshold and a later restriction help where rows share bins.
+#[test]
+fn an_extended_scene_is_restricted_later() {
+    let case = extended_case(25.0, 16);
+    let options = options_with_known_noise(&case);
+    let mut without = options;
+    without.tuning.coupled.max_extended_factor = 1.0;
+    without.tuning.coupled.latest_extended_restriction = 1;
+    let [psnr, without] = [options, without].map(|o| case.psnr(&case.solve(o)));
+    println!("{psnr:.1} dB, {without:.1} with neither");
+    assert!(psnr > without + 0.5, "{psnr} dB, {without} with neither");
 }
 
 /// A PSF that is cut off leaves pixels dark, which have a fiftieth of the noise of others. Where rows share bins, no step of the

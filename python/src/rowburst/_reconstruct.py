@@ -179,7 +179,10 @@ class Result(VideoResult):
 
     @property
     def effective_sigma(self) -> float:
-        """Noise and error of the model together, in counts: ``noise_sigma`` where the model explains the frame."""
+        """Noise and error of the model together, in counts.
+
+        It is ``noise_sigma`` where the model explains the frame, and where the frame sees too little of the scene to tell.
+        """
         return self._native.effective_sigma
 
     @property

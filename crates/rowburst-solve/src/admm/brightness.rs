@@ -25,7 +25,7 @@ pub fn brightness(video: &[f32]) -> f64 {
     brightness_of(sums)
 }
 
-/// The voxels of equal brightness that would share the light of `video` alike: its participation ratio `(Σ v)² / Σ v²`. It is
+/// The number of voxels of equal brightness that would share the light of `video` alike: its participation ratio `(Σ v)² / Σ v²`. It is
 /// 0 for a dark video.
 pub(super) fn participation(video: &[f32]) -> f64 {
     let parts: Vec<(f64, f64)> = video

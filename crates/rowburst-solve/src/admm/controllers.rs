@@ -169,33 +169,33 @@ impl Controllers {
 
     fn advance_phase(&mut self, variables: &Variables, data: &dyn DataTerm) {
         let must_wait =
-            self.schedule.has_ended_warm_up() && self.takes_shape_slowly(variables, data);
+            self.schedule.is_at_end_of_warm_up() && self.takes_shape_slowly(variables, data);
         self.schedule.advance(must_wait);
     }
 
     /// Whether the video is still taking shape at the end of the warm-up, see [`Phase::Waiting`].
     fn takes_shape_slowly(&mut self, variables: &Variables, data: &dyn DataTerm) -> bool {
-        let tuning = &self.tuning;
-        let (shape, done) = (self.shape, self.schedule.iterations());
-        let is_undersampled = shape.voxels() > tuning.undersampled * variables.az.len();
-        if is_undersampled && done < tuning.latest_first_restriction {
-            return self.decline.is_rising(&variables.z, shape);
-        }
-        done < self.kind_tuning.latest_extended_restriction && self.extent(variables, data) > 1.0
+        let (shape, done) = (self.shape, self.schedule.steps_with_repeats());
+        let is_undersampled = shape.voxels() > self.tuning.undersampled * variables.az.len();
+        let is_rising = is_undersampled
+            && done < self.tuning.latest_first_restriction
+            && self.decline.is_rising(&variables.z, shape);
+        is_rising
+            || done < self.kind_tuning.latest_extended_restriction
+                && self.extent(variables, data) > 1.0
     }
 
     /// How far the scene is extended for its measurements: the participation of the video over [`Tuning::extended`] of the
     /// number of measurements. Above 1 the scene is extended: no restriction leaves far fewer voxels than measurements, and
     /// a larger `β` alone removes its haze (docs/design/034). It is 0 where no support is used, and in the first
-    /// [`Tuning::extended_from`] iterations of a run, in which every scene is haze.
+    /// [`Tuning::extended_from`] steps, in which every scene is haze.
     fn extent(&self, variables: &Variables, data: &dyn DataTerm) -> f64 {
-        // A wait goes back in steps, a warm start in iterations.
-        let done = self.schedule.step().max(self.schedule.iterations());
+        let done = self.schedule.steps_with_repeats();
         if !self.active_set.is_used() || done < self.tuning.extended_from {
             return 0.0;
         }
-        let least = self.tuning.extended * data.measurement_count() as f64;
-        participation(self.foreground(variables)) / least
+        let limit = self.tuning.extended * data.measurement_count().max(1) as f64;
+        participation(self.foreground(variables)) / limit
     }
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
@@ -454,6 +454,9 @@ mod tests {
         let mut undersampled = params;
         undersampled.tuning.undersampled = 0;
         assert_eq!(iterations(35, undersampled), 150);
+        // All bins count as fallen at the second look, but the scene is extended.
+        undersampled.tuning.decline = -1.0;
+        assert_eq!(iterations(70, undersampled), 60);
     }
 
     /// All controllers act before iteration 21.

@@ -13,13 +13,14 @@ use rowburst_core::Shape;
 pub(super) enum Phase {
     /// The video takes shape while `β` falls. Ends at step [`KindTuning::first_restriction`].
     WarmUp,
-    /// The warm-up of a video that takes shape slowly. Repeats the last [`Tuning::decline_window`] steps of the warm-up.
+    /// The warm-up of a video that takes shape slowly. Repeats the last [`Tuning::decline_window`] steps of the warm-up while
+    /// one of two reasons holds. The limits count the repeated steps, see [`Schedule::steps_with_repeats`].
     ///
-    /// With hundreds of voxels for each pixel of the frame bins still get brighter where others do not change any more, and a
-    /// restriction would cut off light that still rises. Such a wait ends once every bin has become darker over a window or
-    /// was found dark, or at iteration [`Tuning::latest_first_restriction`]. An extended scene, see
-    /// [`super::controllers::Controllers::extent`], is still haze, which a restriction would keep: its wait ends once it is no
-    /// longer extended, or at iteration [`KindTuning::latest_extended_restriction`].
+    /// - With hundreds of voxels for each pixel of the frame bins still get brighter where others do not change any more, and a
+    ///   restriction would cut off light that still rises. Holds until every bin has become darker over a window or was found
+    ///   dark, at most up to [`Tuning::latest_first_restriction`].
+    /// - An extended scene, see [`super::controllers::Controllers::extent`], is still haze, which a restriction would keep. Holds
+    ///   until it is no longer extended, at most up to [`KindTuning::latest_extended_restriction`].
     Waiting,
     /// The video is restricted to its support, and `β` follows its brightness. Ends at step [`KindTuning::settled_from`].
     Settling,
@@ -33,6 +34,8 @@ pub(super) struct Schedule {
     phase: Phase,
     /// Steps done, see [`Phase`].
     step: usize,
+    /// Steps that waits have repeated.
+    repeated_steps: usize,
     /// Iterations done since the start of the run or of the present frame.
     iterations: usize,
     tuning: Tuning,
@@ -44,6 +47,7 @@ impl Schedule {
         Self {
             phase: Phase::WarmUp,
             step: 0,
+            repeated_steps: 0,
             iterations: 0,
             tuning: *tuning,
             kind_tuning: *tuning.for_kind(kind),
@@ -57,6 +61,11 @@ impl Schedule {
     /// Steps done.
     pub fn step(&self) -> usize {
         self.step
+    }
+
+    /// Steps done, those that a wait has repeated counted each time. Also counts the steps of earlier frames.
+    pub fn steps_with_repeats(&self) -> usize {
+        self.step + self.repeated_steps
     }
 
     /// Iterations done.
@@ -85,17 +94,19 @@ impl Schedule {
         self.step += 1;
     }
 
-    /// Whether the video is still taking shape though all steps of the warm-up are done.
-    pub fn has_ended_warm_up(&self) -> bool {
+    /// Whether all steps of the warm-up are done, and the video is restricted now or waits.
+    pub fn is_at_end_of_warm_up(&self) -> bool {
         self.is_warming_up() && self.step >= self.kind_tuning.first_restriction
     }
 
     /// Enters the next phase if the present one has ended. At the end of the warm-up `must_wait` repeats its last steps.
     pub fn advance(&mut self, must_wait: bool) {
-        if self.has_ended_warm_up() && must_wait {
+        if self.is_at_end_of_warm_up() && must_wait {
             self.phase = Phase::Waiting;
-            self.step = self.step.saturating_sub(self.tuning.decline_window);
-        } else if self.has_ended_warm_up() {
+            let repeated = self.tuning.decline_window.min(self.step);
+            self.step -= repeated;
+            self.repeated_steps += repeated;
+        } else if self.is_at_end_of_warm_up() {
             self.phase = Phase::Settling;
         } else if self.phase == Phase::Settling && self.step >= self.kind_tuning.settled_from {
             self.phase = Phase::Settled;
@@ -190,6 +201,23 @@ mod tests {
         assert!(phases[19..34].iter().all(|p| *p == Phase::Waiting));
         assert_eq!(phases[34], Phase::Settling);
         assert_eq!((schedule.step(), schedule.iterations()), (45, 60));
+    }
+
+    /// The end of a wait would never come if each frame counted its own steps.
+    #[test]
+    fn a_wait_over_many_short_frames_counts_all_steps() {
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
+        let mut iterations = 0;
+        while schedule.is_warming_up() {
+            if iterations % 7 == 0 {
+                schedule.warm_start();
+            }
+            let must_wait = schedule.steps_with_repeats() < 60;
+            schedule.advance(must_wait);
+            schedule.finish_iteration();
+            iterations += 1;
+        }
+        assert_eq!(iterations, 61);
     }
 
     #[test]

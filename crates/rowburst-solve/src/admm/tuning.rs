@@ -195,7 +195,7 @@ constants! {
     /// The constants of the solver. **Unstable**: names, meanings and values change between versions.
     ///
     /// [`Tuning::STANDARD`] has the values with which all documented results were made. Constants have no unit unless
-    /// it is given. A step is an iteration that brings the run forward: all but those that a wait for a decline repeats.
+    /// it is given. A step is an iteration that brings the run forward: all but those that a wait repeats.
     ///
     /// ```
     /// use rowburst_solve::admm::Tuning;
@@ -219,14 +219,16 @@ constants! {
         undersampled: usize,
         /// Relative fall of a bin's brightness that ends the wait; smaller ends it too early (docs/design/008).
         decline: f64,
-        /// Iterations over which that fall is measured; larger waits longer (docs/design/008).
+        /// Iterations over which that fall is measured, and after which any wait is reconsidered; larger waits longer
+        /// (docs/design/008).
         decline_window: usize,
-        /// Iteration at which the wait ends at the latest; smaller may cut off light that still rises (docs/design/008).
+        /// Iteration at which the wait for a decline ends at the latest; smaller may cut off light that still rises
+        /// (docs/design/008).
         latest_first_restriction: usize,
         /// Participation of the video over the number of measurements above which the scene is extended; smaller gives more
         /// scenes a larger `β`, which points do not bear (docs/design/034).
         extended: f64,
-        /// Iteration from which on a scene may be extended; smaller takes the haze of the first steps for a scene
+        /// Step from which on a scene may be extended; smaller takes the haze of the first steps for a scene
         /// (docs/design/034).
         extended_from: usize,
         /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).

@@ -273,7 +273,7 @@ pub struct Reconstruction {
     /// Noise of a pixel with weight 1, in counts.
     pub sigma: f64,
     /// Noise and error of the model at a pixel with weight 1, in counts: `τ` follows from it. It is `sigma` where the
-    /// model explains the frame, and where `sigma` is given.
+    /// model explains the frame, where the frame sees too little of the scene to tell, and where `sigma` is given.
     pub effective_sigma: f64,
     /// 1 at the foreign pixels, which were left out, else 0; `[y, x]`.
     pub excluded: Vec<u8>,

@@ -21,12 +21,12 @@ const MAX_EFFECTIVE_SIGMA: f64 = 0.5;
 /// Effective noise level by the check of a refined PSF over that by its search, above which the check has not settled;
 /// smaller follows the error of the model.
 const UNSETTLED: f64 = 2.0;
-/// Residual over `σ` up to which a video explains the pixels that it has seen; larger keeps the noise level of the sensor where
-/// the model is wrong.
-const UNDERSAMPLED_RESIDUAL: f64 = 0.85;
+/// Residual over that of a video whose degrees of freedom take all that they may, up to which a fit is as free as that; larger
+/// keeps the noise level of the sensor where the model is wrong.
+const FREE_FIT: f64 = 1.02;
 /// Held-out error at the effective noise level over that at the noise of the sensor, above which the effective one only
-/// smooths; smaller follows errors of the PSF.
-const UNDERSAMPLED_RISE: f64 = 1.15;
+/// smooths; smaller does not follow errors of the PSF.
+const SMOOTHING_RISE: f64 = 1.15;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -248,9 +248,9 @@ impl Problem {
         }
     }
 
-    /// Sets the effective noise level to `found`, or keeps that of the sensor where the frame sees too little of the scene. Then
-    /// the video explains the pixels that it has seen and not the held-out ones, and a larger noise level, which smooths it,
-    /// predicts these worse still (docs/design/035).
+    /// Sets the effective noise level to `found`, or keeps that of the sensor where the frame sees too little of the scene. The
+    /// video then fits the pixels that it has seen with all the freedom that it may have, and misses the held-out ones;
+    /// a larger noise level smooths it, and it misses them by more (docs/design/035).
     fn set_effective_sigma(
         &mut self,
         found: f64,
@@ -258,19 +258,44 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<(), Box<RunResult>> {
-        self.effective_sigma = found;
-        let has_refined_psf = self.calibration.as_ref();
-        let has_refined_psf = has_refined_psf.is_some_and(|c| c.psf_refinement.is_some());
-        let is_known = self.has_wrong_model || self.is_dense || has_refined_psf;
-        let explains_seen_pixels = check.residual_rms <= UNDERSAMPLED_RESIDUAL * self.sigma;
-        if found > self.sigma && explains_seen_pixels && !is_known {
-            let smoothed = self.held_out_check(prior, observer)?;
-            if smoothed.held_out_rms > UNDERSAMPLED_RISE * check.held_out_rms {
-                info!("the frame sees too little of the scene: the noise level is not raised");
-                self.effective_sigma = self.sigma;
-            }
+        let calibration = self.calibration.as_ref();
+        let has_refined_psf = calibration.is_some_and(|c| c.psf_refinement.is_some());
+        // A support cannot be that free in a dense scene, and a refined PSF knows its own error.
+        let is_judged_otherwise = self.has_wrong_model || self.is_dense || has_refined_psf;
+        let least_residual = self.sigma * (1.0 - self.options.tuning.max_freedom).sqrt();
+        let is_free = check.residual_rms <= FREE_FIT * least_residual;
+        let misses_more = found > self.sigma
+            && is_free
+            && !is_judged_otherwise
+            && self.misses_more_at(found, check, prior, observer)?;
+        if misses_more {
+            info!("the frame sees too little of the scene: the noise level is not raised");
+        } else {
+            self.effective_sigma = found;
         }
         Ok(())
+    }
+
+    /// Whether a run at the noise level `raised` misses the held-out pixels by more than `check` at the present one. Keeps the
+    /// last check as a result.
+    fn misses_more_at(
+        &mut self,
+        raised: f64,
+        check: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        let (last_check, present) = (self.last_check.take(), self.effective_sigma);
+        self.effective_sigma = raised;
+        let smoothed = self.held_out_run(0.0, prior, observer);
+        self.effective_sigma = present;
+        // As it was before: a smoothed video tells nothing about that.
+        self.is_dense = false;
+        self.last_check = last_check;
+        match smoothed {
+            Ok((smoothed, _)) => Ok(smoothed.held_out_rms > SMOOTHING_RISE * check.held_out_rms),
+            Err(stopped) => Err(self.last_check_or(stopped)),
+        }
     }
 
     /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, stray light, PSF or camera. Returns
