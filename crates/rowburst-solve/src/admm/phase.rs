@@ -120,11 +120,11 @@ impl Schedule {
         let past_start = self.step.saturating_sub(start);
         self.step = self.step.min(start) + past_start % self.tuning.support_interval;
         self.iterations = 0;
-        self.phase = if self.step < self.kind_tuning.first_restriction {
-            Phase::WarmUp
-        } else {
-            Phase::Settling
-        };
+        if self.step < self.kind_tuning.first_restriction {
+            self.phase = Phase::WarmUp;
+        } else if !self.is_warming_up() {
+            self.phase = Phase::Settling;
+        }
     }
 }
 

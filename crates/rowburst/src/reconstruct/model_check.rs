@@ -105,8 +105,11 @@ impl Problem {
             let light =
                 norm(self.data.measurements()) / (self.data.measurement_count() as f64).sqrt();
             let most = (MAX_EFFECTIVE_SIGMA * light).max(self.sigma);
-            let found = self.effective_sigma_after(&check).min(most);
-            self.set_effective_sigma(found, &check, prior, observer)?;
+            self.effective_sigma = if self.sees_too_little(&check, prior, observer)? {
+                self.sigma
+            } else {
+                self.effective_sigma_after(&check).min(most)
+            };
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
@@ -248,52 +251,38 @@ impl Problem {
         }
     }
 
-    /// Sets the effective noise level to `found`, or keeps that of the sensor where the frame sees too little of the scene. The
-    /// video then fits the pixels that it has seen with all the freedom that it may have, and misses the held-out ones;
-    /// a larger noise level smooths it, and it misses them by more (docs/design/035).
-    fn set_effective_sigma(
+    /// Whether the frame sees too little of the scene to judge the model by `check`, which is of the present noise level, that
+    /// of the sensor. The video then fits the pixels that it has seen with all the freedom that it may have, and misses the
+    /// held-out ones; a larger noise level smooths it, and it misses them by more (docs/design/035). Keeps the last check as
+    /// a result.
+    fn sees_too_little(
         &mut self,
-        found: f64,
         check: &HeldOutCheck,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<(), Box<RunResult>> {
+    ) -> Result<bool, Box<RunResult>> {
         let calibration = self.calibration.as_ref();
         let has_refined_psf = calibration.is_some_and(|c| c.psf_refinement.is_some());
         // A support cannot be that free in a dense scene, and a refined PSF knows its own error.
         let is_judged_otherwise = self.has_wrong_model || self.is_dense || has_refined_psf;
         let least_residual = self.sigma * (1.0 - self.options.tuning.max_freedom).sqrt();
         let is_free = check.residual_rms <= FREE_FIT * least_residual;
-        let misses_more = found > self.sigma
-            && is_free
-            && !is_judged_otherwise
-            && self.misses_more_at(found, check, prior, observer)?;
-        if misses_more {
-            info!("the frame sees too little of the scene: the noise level is not raised");
-        } else {
-            self.effective_sigma = found;
+        if is_judged_otherwise || !is_free || self.is_explained(check) {
+            return Ok(false);
         }
-        Ok(())
-    }
-
-    /// Whether a run at the noise level `raised` misses the held-out pixels by more than `check` at the present one. Keeps the
-    /// last check as a result.
-    fn misses_more_at(
-        &mut self,
-        raised: f64,
-        check: &HeldOutCheck,
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<bool, Box<RunResult>> {
         let (last_check, present) = (self.last_check.take(), self.effective_sigma);
-        self.effective_sigma = raised;
+        self.effective_sigma = check.effective_sigma(self.sigma);
         let smoothed = self.held_out_run(0.0, prior, observer);
         self.effective_sigma = present;
         // As it was before: a smoothed video tells nothing about that.
         self.is_dense = false;
         self.last_check = last_check;
         match smoothed {
-            Ok((smoothed, _)) => Ok(smoothed.held_out_rms > SMOOTHING_RISE * check.held_out_rms),
+            Ok((smoothed, _)) => {
+                let ratio = smoothed.held_out_rms / check.held_out_rms;
+                info!("held-out error at a larger noise level over that at σ: {ratio:.3}");
+                Ok(ratio > SMOOTHING_RISE)
+            }
             Err(stopped) => Err(self.last_check_or(stopped)),
         }
     }
