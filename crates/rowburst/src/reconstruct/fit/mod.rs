@@ -160,7 +160,8 @@ pub(super) struct FitInput<'a> {
     /// Rms of the residual after each iteration.
     pub residual_history: &'a [f64],
     pub sigma: f64,
-    /// Noise and error of the model together; `sigma` where the model was not checked, explains the frame, or cannot be judged by it.
+    /// Noise and error of the model together; `sigma` where the model was not checked or explains the frame, and where the frame
+    /// sees too little of the scene to judge it.
     pub effective_sigma: f64,
     /// Part of the pixels that were left out as foreign.
     pub excluded_fraction: f64,
