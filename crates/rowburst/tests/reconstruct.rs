@@ -180,7 +180,30 @@ fn a_frame_that_sees_too_little_of_the_scene_is_not_smoothed() {
         println!("{exposure_us} µs: {psnr:.1} dB, {known:.1} with known noise");
         assert_eq!(found.effective_sigma, found.sigma, "{exposure_us} µs");
         assert!(psnr > known - 1.0, "{psnr} dB, {known} dB with known noise");
+        let reason = &found.fit.reason;
+        assert!(reason.contains("sees too little"), "{reason}");
     }
+}
+
+/// Such a frame cannot tell what is wrong with its model, so nothing is looked for.
+#[test]
+fn a_frame_that_sees_too_little_of_the_scene_is_not_searched_for_corrections() {
+    let case = extended_case(25.0, 16);
+    let iterations_of = |options| {
+        let measurement = Measurement::new(case.frame.clone()).unwrap();
+        let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
+        let mut iterations = 0;
+        let found = problem.solve(&mut |_| {
+            iterations += 1;
+            ControlFlow::Continue(())
+        });
+        (iterations, found.unwrap())
+    };
+    let (iterations, found) = iterations_of(Options::default());
+    let (without_corrections, expected) = iterations_of(options_without_corrections());
+    assert_eq!(iterations, without_corrections);
+    assert_eq!(found.video.data(), expected.video.data());
+    assert_eq!(found.excluded_fraction(), 0.0);
 }
 
 /// Whenever it is stopped, the noise level of the result is one that was found to hold.

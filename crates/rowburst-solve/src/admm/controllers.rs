@@ -195,7 +195,12 @@ impl Controllers {
             return 0.0;
         }
         let limit = self.tuning.extended * data.measurement_count().max(1) as f64;
-        participation(self.foreground(variables)) / limit
+        self.participation(variables) / limit
+    }
+
+    /// The number of voxels of equal brightness that would share the light of the video alike.
+    pub fn participation(&self, variables: &Variables) -> f64 {
+        participation(self.foreground(variables))
     }
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {

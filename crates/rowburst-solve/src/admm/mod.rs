@@ -392,6 +392,12 @@ impl Admm {
         self.controllers.active_set.fraction()
     }
 
+    /// The number of voxels of equal brightness that would share the light of the video alike: its participation ratio
+    /// `(Σ v)² / Σ v²`.
+    pub fn participation(&self) -> f64 {
+        self.controllers.participation(&self.variables)
+    }
+
     /// The video of the last iteration, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
         &self.variables.z

@@ -59,7 +59,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 35;
+pub const ALGORITHM_REVISION: u32 = 36;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -221,6 +221,8 @@ pub struct Problem {
     is_dense: bool,
     /// Frame, PSF and shutter do not belong together: no search mends the model, and all priors are as good.
     has_wrong_model: bool,
+    /// Held-out error over `sigma` where the frame sees too little of the scene to judge the model by it.
+    undersampled_error: Option<f64>,
     /// A shutter of another kind that explains the frame, which the camera's does not.
     other_shutter: Option<Shutter>,
     sigma_source: SigmaSource,
@@ -397,6 +399,7 @@ impl Problem {
             effective_sigma: sigma,
             is_dense: false,
             has_wrong_model: false,
+            undersampled_error: None,
             other_shutter: None,
             sigma_source,
             psf_floor: None,
@@ -535,6 +538,7 @@ impl Problem {
             residual_history,
             sigma: self.sigma,
             effective_sigma: self.effective_sigma,
+            undersampled_error: self.undersampled_error,
             excluded_fraction: ones(&excluded),
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.options.tau, Tau::Given(_)),

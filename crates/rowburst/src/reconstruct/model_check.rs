@@ -27,6 +27,9 @@ const FREE_FIT: f64 = 1.02;
 /// Held-out error at the effective noise level over that at the noise of the sensor, above which the effective one only
 /// smooths; smaller does not follow errors of the PSF.
 const SMOOTHING_RISE: f64 = 1.15;
+/// Participation of a check's video over the number of measurements, above which nothing that is wrong is looked for where the frame
+/// sees too little of the scene; smaller misses stray light on small sensors.
+const EXTENDED: f64 = 0.5;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -94,7 +97,15 @@ impl Problem {
             (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
         }
+        let is_extended = run.as_ref().is_some_and(|run| self.is_extended(run));
         self.keep_as_result(run.take());
+        if is_extended && !self.has_turned_frame() {
+            self.judge_undersampling(&check, prior, observer)?;
+            if self.undersampled_error.is_some() {
+                self.has_wrong_model = self.has_other_shutter(&check, observer)?;
+                return Ok(());
+            }
+        }
         check = self.correct_model(check, prior, observer)?;
         self.opens(&mut prior);
         self.subtract_row_offsets(&mut check, &mut run, prior, observer)?;
@@ -105,14 +116,20 @@ impl Problem {
             let light =
                 norm(self.data.measurements()) / (self.data.measurement_count() as f64).sqrt();
             let most = (MAX_EFFECTIVE_SIGMA * light).max(self.sigma);
-            self.effective_sigma = if self.sees_too_little(&check, prior, observer)? {
-                self.sigma
-            } else {
-                self.effective_sigma_after(&check).min(most)
-            };
+            self.judge_undersampling(&check, prior, observer)?;
+            if self.undersampled_error.is_none() {
+                self.effective_sigma = self.effective_sigma_after(&check).min(most);
+            }
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
+    }
+
+    /// Whether the light of a check's video is spread over so many voxels that the frame may see too little of them. A search for
+    /// what is wrong that is asked for by name is not left out.
+    fn is_extended(&self, run: &HeldOutRun) -> bool {
+        let limit = EXTENDED * self.data.measurement_count() as f64;
+        !self.options.self_calibration.is_on() && run.admm.participation() > limit
     }
 
     /// Keeps the result of a check, the last user of `data`, for a run that is stopped before it has a better one.
@@ -251,16 +268,16 @@ impl Problem {
         }
     }
 
-    /// Whether the frame sees too little of the scene to judge the model by `check`, which is of the present noise level, that
-    /// of the sensor. The video then fits the pixels that it has seen with all the freedom that it may have, and misses the
+    /// Finds whether the frame sees too little of the scene to judge the model by `check`, which is of the present noise level,
+    /// that of the sensor. The video then fits the pixels that it has seen with all the freedom that it may have, and misses the
     /// held-out ones; a larger noise level smooths it, and it misses them by more (docs/design/035). Keeps the last check as
     /// a result.
-    fn sees_too_little(
+    fn judge_undersampling(
         &mut self,
         check: &HeldOutCheck,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<bool, Box<RunResult>> {
+    ) -> Result<(), Box<RunResult>> {
         let calibration = self.calibration.as_ref();
         let has_refined_psf = calibration.is_some_and(|c| c.psf_refinement.is_some());
         // A support cannot be that free in a dense scene, and a refined PSF knows its own error.
@@ -268,7 +285,7 @@ impl Problem {
         let least_residual = self.sigma * (1.0 - self.options.tuning.max_freedom).sqrt();
         let is_free = check.residual_rms <= FREE_FIT * least_residual;
         if is_judged_otherwise || !is_free || self.is_explained(check) {
-            return Ok(false);
+            return Ok(());
         }
         let (last_check, present) = (self.last_check.take(), self.effective_sigma);
         self.effective_sigma = check.effective_sigma(self.sigma);
@@ -277,14 +294,13 @@ impl Problem {
         // As it was before: a smoothed video tells nothing about that.
         self.is_dense = false;
         self.last_check = last_check;
-        match smoothed {
-            Ok((smoothed, _)) => {
-                let ratio = smoothed.held_out_rms / check.held_out_rms;
-                info!("held-out error at a larger noise level over that at σ: {ratio:.3}");
-                Ok(ratio > SMOOTHING_RISE)
-            }
-            Err(stopped) => Err(self.last_check_or(stopped)),
+        let (smoothed, _) = smoothed.map_err(|stopped| self.last_check_or(stopped))?;
+        let ratio = smoothed.held_out_rms / check.held_out_rms;
+        info!("held-out error at a larger noise level over that at σ: {ratio:.3}");
+        if ratio > SMOOTHING_RISE {
+            self.undersampled_error = Some(check.held_out_rms / self.sigma);
         }
+        Ok(())
     }
 
     /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, stray light, PSF or camera. Returns

@@ -163,6 +163,8 @@ pub(super) struct FitInput<'a> {
     /// Noise and error of the model together; `sigma` where the model was not checked or explains the frame, and where the frame
     /// sees too little of the scene to judge it.
     pub effective_sigma: f64,
+    /// Held-out error over `sigma` where the frame sees too little of the scene to judge the model by it.
+    pub undersampled_error: Option<f64>,
     /// Part of the pixels that were left out as foreign.
     pub excluded_fraction: f64,
     pub sigma_source: SigmaSource,

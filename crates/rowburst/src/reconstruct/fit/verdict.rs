@@ -107,6 +107,12 @@ fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
             100.0 * light.max(0.0)
         ));
     }
+    if let Some(error) = evidence.undersampled_error {
+        return suspicious(format!(
+            "the frame sees too little of the scene: the video misses held-out pixels by {} times the noise, with a right PSF and shutter as with wrong ones, so they are not tested; use a sparser scene, or a shutter that reads more rows in an instant",
+            digits(error)
+        ));
+    }
     if s.chi_squared < OVERFITTED {
         return suspicious(format!(
             "the residual is only {:.2} times the noise: the video is overfitted{}",
