@@ -1,6 +1,7 @@
 //! A whole sensor, part by part: `cargo bench --workspace --bench full_sensor`. 32 of the 1024 bins of a dual
 //! shutter of 2048×2048 pixels are simulated (11 digits of 12 px in each, SNR 256) and found with `tv+support`;
-//! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size, `-- SIDE BINS DIGITS` for other scenes.
+//! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size, `-- SIDE BINS DIGITS` for other scenes,
+//! and `NAME=VALUE` for other constants of the solver.
 
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
@@ -81,6 +82,18 @@ fn simulate(whole: &Camera, camera: &Camera, psf: &Psf, digits: usize) -> Measur
     Measurement::new(noisy.expect("light").frame).expect("light")
 }
 
+/// The standard options, with constants of the solver given as `NAME=VALUE`.
+fn options() -> Options {
+    let mut options = Options::default();
+    for given in std::env::args() {
+        if let Some((name, value)) = given.split_once('=') {
+            let value = value.parse().expect("a number");
+            options.tuning.set(name, value).expect("a constant");
+        }
+    }
+    options
+}
+
 /// The first `bins` bins of a sensor of `side`×`side` pixels.
 fn run(side: usize, bins: usize, digits: usize) -> Cost {
     let whole = dual_shutter(side);
@@ -93,7 +106,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
         began.elapsed().as_secs_f64()
     );
     let measurement = simulate(&whole, &camera, &psf, digits);
-    let chunks = Chunked::new(camera, psf.into(), measurement, Options::default()).expect("parts");
+    let chunks = Chunked::new(camera, psf.into(), measurement, options()).expect("parts");
     let mut decibels = Vec::new();
     let began = Instant::now();
     let mut comparing = 0.0;

@@ -143,6 +143,24 @@ fn every_kind_of_camera_gives_a_good_video() {
     assert!(!failed, "a video is worse than it should be");
 }
 
+/// Bins whose LEDs light up after the first restriction are widened, on wide sensors as on others.
+#[test]
+fn leds_on_a_wide_sensor_converge() {
+    let camera = camera((40, 520), Shutter::DualInsideOut, 10.0, None);
+    for seed in [1, 2] {
+        let (truth, _) = scene::leds(camera.video_shape(), 10.0, 6.5, seed).unwrap();
+        let case = Case::of_scene(camera.clone(), truth, 2.5);
+        let found = case.solve(options_with_known_noise(&case));
+        let (psnr, residual) = (case.psnr(&found), found.residual_over_sigma);
+        println!("seed {seed}: {psnr:.1} dB, residual/σ {residual:.2}");
+        assert_eq!(found.stop_reason, StopReason::Converged, "seed {seed}");
+        assert!(
+            psnr > 62.0 && residual < 1.05,
+            "seed {seed}: {psnr} dB, {residual} σ"
+        );
+    }
+}
+
 /// 54 digits of this height on 64×64 pixels: much light for the rows of the frame.
 fn extended_case(exposure_us: f64, digit_px: usize) -> Case {
     let camera = camera((64, 64), Shutter::DualInsideOut, exposure_us, None);

@@ -33,8 +33,7 @@
 //! its slow part is light that stays as haze in inactive voxels. A bin of which more than a third is active is
 //! unrestricted. A bin whose residual is too large and no longer falls is underfit: its threshold is lowered, and the
 //! voxels to which the residual points, `Aᵀ(b − A v)`, are added; in the end all of its voxels are active
-//! (`docs/design/007`). In a wide problem, see [`ProblemKind`](super::ProblemKind), an underfit bin is unrestricted at
-//! once, and after some updates restricted again. Where rows share bins, the first restriction comes later, and
+//! (`docs/design/007`). Where rows share bins, the first restriction comes later, and
 //! underfit bins are widened gently and not unrestricted (`docs/design/025`). A video that takes shape slowly is restricted later:
 //! one with hundreds of voxels for each pixel of the frame (`docs/design/008`), and where rows share bins an extended scene
 //! (`docs/design/034`).
@@ -235,7 +234,7 @@ pub fn solve(
 /// A run of the solver that can be stopped, take another rule for `τ`, and continue.
 #[derive(Clone)]
 pub struct Admm {
-    /// See [`Tuning::relaxation`].
+    /// See [`KindTuning::relaxation`].
     relaxation: f64,
     /// See [`AdmmParams::max_iterations`].
     max_iterations: usize,
@@ -260,8 +259,9 @@ impl Admm {
         if let Err(error) = params.tuning.check() {
             panic!("{error}");
         }
+        let kind = data.capabilities().hints.kind;
         Self {
-            relaxation: params.tuning.relaxation,
+            relaxation: params.tuning.for_kind(kind).relaxation,
             max_iterations: params.max_iterations,
             variables: Variables::new(data, shape.columns),
             controllers: Controllers::new(data, shape, &params),

@@ -39,37 +39,25 @@ enum BinState {
     Widened(usize),
     /// Its light was still spread at the first restriction: its threshold is lowered once, up to the next update.
     Spread,
-    /// All of its voxels are active for a while.
-    Unrestricted {
-        /// Updates, with the last one, for which they are.
-        updates_left: usize,
-    },
 }
 
 impl BinState {
     /// As long as a bin was never underfit.
     const INITIAL: Self = Self::Widened(0);
 
-    /// The state at the next update: a bin that has been unrestricted for all of its updates begins again.
+    /// The state at the next update.
     fn at_next_update(self) -> Self {
         match self {
-            Self::Unrestricted { updates_left } if updates_left > 1 => Self::Unrestricted {
-                updates_left: updates_left - 1,
-            },
-            Self::Unrestricted { .. } | Self::Spread => Self::INITIAL,
+            Self::Spread => Self::INITIAL,
             Self::Widened(_) => self,
         }
     }
 
     /// The state of a bin that is underfit.
-    fn widened(self, unrestricted_updates: Option<NonZeroUsize>) -> Self {
-        match (self, unrestricted_updates) {
-            (_, Some(updates)) => Self::Unrestricted {
-                updates_left: updates.get(),
-            },
-            (Self::Widened(times), None) => Self::Widened(times + 1),
-            (Self::Spread, None) => Self::Widened(1),
-            (Self::Unrestricted { .. }, None) => self,
+    fn widened(self) -> Self {
+        match self {
+            Self::Widened(times) => Self::Widened(times + 1),
+            Self::Spread => Self::Widened(1),
         }
     }
 
@@ -148,8 +136,7 @@ impl SupportEstimator {
         self.is_unrestricted.contains(&true)
     }
 
-    /// Whether few voxels became inactive in the last update, no bin was widened, and none is spread or temporarily
-    /// unrestricted.
+    /// Whether few voxels became inactive in the last update, no bin was widened, and none is spread.
     pub fn is_stable(&self) -> bool {
         self.is_stable
     }
@@ -189,8 +176,8 @@ impl SupportEstimator {
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
     /// The threshold is [`Tuning::support_threshold`] of `brightness`, or of a dimmer bin's own, see
-    /// [`KindTuning::min_bin_brightness`]. In the bins of `underfit` it is lowered, to zero
-    /// at once where a new factor is costly, and the voxels with the largest correlation are added. Of bins that were
+    /// [`KindTuning::min_bin_brightness`]. In the bins of `underfit` it is lowered, and the voxels with the largest
+    /// correlation are added. Of bins that were
     /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`. At the
     /// first update the threshold is lowered, too, in bins that would lose much of their light, up to the next update.
     pub fn update(
@@ -262,13 +249,13 @@ impl SupportEstimator {
         }
     }
 
-    /// Widens the `underfit_bins`, and lets the time of temporarily unrestricted bins pass.
+    /// Widens the `underfit_bins`, and ends the time of spread ones.
     fn widen(&mut self, underfit_bins: &[usize]) {
         for bin in &mut self.bins {
             *bin = bin.at_next_update();
         }
         for &t in underfit_bins {
-            self.bins[t] = self.bins[t].widened(self.kind_tuning.unrestricted_updates);
+            self.bins[t] = self.bins[t].widened();
         }
     }
 }
@@ -400,32 +387,5 @@ mod tests {
             assert_eq!(support.mask()[162 + 40] == 1, stays, "{kind:?}");
             assert_eq!(support.mask()[162 + 16], 0, "{kind:?}");
         }
-    }
-
-    #[test]
-    fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
-        let shape = Shape::new(2, 9, 9);
-        let hints = DataHints {
-            kind: ProblemKind::Wide,
-            max_restricted_voxels: 50,
-        };
-        let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
-        let mut video = vec![0.0f32; shape.voxels()];
-        (video[40], video[81 + 40]) = (1.0, 1.0);
-        estimator.update(&video, 1.0, None);
-        estimator.underfit_bins(vec![1.0, 4.0], 1.0);
-        assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-        estimator.update(&video, 1.0, second_bin(&video));
-        let updates = Tuning::STANDARD.wide.unrestricted_updates.unwrap();
-        for _ in 1..updates.get() {
-            assert_eq!(estimator.support().unwrap().pixels_of(1), None);
-            assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
-            estimator.update(&video, 1.0, None);
-            assert!(!estimator.is_stable());
-        }
-        estimator.update(&video, 1.0, None);
-        assert_eq!(estimator.support().unwrap().pixels_of(1).unwrap().len(), 9);
-        estimator.update(&video, 1.0, None);
-        assert!(estimator.is_stable());
     }
 }

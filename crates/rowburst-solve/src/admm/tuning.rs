@@ -125,6 +125,9 @@ macro_rules! constants {
 constants! {
     /// The constants that depend on the kind of the problem, see [`ProblemKind`].
     KindTuning {
+        /// Over-relaxation `α`, from 1 to below 2; larger is faster for some scenes and slower for LEDs
+        /// (docs/design/006, 008).
+        relaxation: f64,
         /// `ρ` at first, over a typical diagonal element of `A Aᵀ`; far from its end it costs more factors
         /// (docs/design/006, 008).
         initial_rho: f64,
@@ -144,9 +147,6 @@ constants! {
         /// Iterations between corrections of `ρ` while a support is used and some bin is unrestricted; larger saves
         /// factors, and `ρ` settles later. `None`, by name 0: such a bin makes no difference (docs/design/008).
         unrestricted_rho_interval: Option<NonZeroUsize>,
-        /// Updates for which an underfit bin is unrestricted; fewer lose light, more cost time. `None`, by name 0: the
-        /// bin is widened step by step instead (docs/design/008).
-        unrestricted_updates: Option<NonZeroUsize>,
         /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
         /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
         first_restriction: usize,
@@ -205,9 +205,6 @@ constants! {
     /// assert!(tuning.set("support_treshold", 0.1).is_err());
     /// ```
     Tuning {
-        /// Over-relaxation `α`, from 1 to below 2; larger is faster for some scenes and slower for LEDs
-        /// (docs/design/006).
-        relaxation: f64,
         /// `β` at its end over the brightness, for a prior whose terms act on single voxels; larger needs fewer
         /// iterations and is less exact at the end (docs/design/005).
         threshold: f64,
@@ -301,6 +298,7 @@ constants! {
 
 /// The standard values of small problems, which the other kinds share but for some.
 const SMALL: KindTuning = KindTuning {
+    relaxation: 1.7,
     initial_rho: 0.01,
     min_rho_ratio: 0.3,
     deadband_lower: 0.98,
@@ -308,7 +306,6 @@ const SMALL: KindTuning = KindTuning {
     early_deadband_lower: 0.8,
     early_deadband_upper: 1.25,
     unrestricted_rho_interval: None,
-    unrestricted_updates: None,
     first_restriction: 20,
     settled_from: 40,
     warm_start_step: 26,
@@ -333,11 +330,10 @@ impl Default for Tuning {
 impl Tuning {
     /// The standard values.
     pub const STANDARD: Self = Self {
-        relaxation: 1.7,
         threshold: 0.015,
         tolerance: 1e-3,
         undersampled: 300,
-        decline: 0.005,
+        decline: 0.0001,
         decline_window: 5,
         latest_first_restriction: 150,
         extended: 0.35,
@@ -366,6 +362,7 @@ impl Tuning {
         brightness_bound: 2.0,
         small: SMALL,
         wide: KindTuning {
+            relaxation: 1.9,
             initial_rho: 0.0015,
             min_rho_ratio: 0.1,
             deadband_lower: 0.95,
@@ -373,7 +370,6 @@ impl Tuning {
             early_deadband_lower: 0.6,
             early_deadband_upper: 1.6,
             unrestricted_rho_interval: NonZeroUsize::new(5),
-            unrestricted_updates: NonZeroUsize::new(5),
             ..SMALL
         },
         coupled: KindTuning {
@@ -486,7 +482,9 @@ impl Tuning {
         };
         let rules = [
             (
-                (1.0..2.0).contains(&self.relaxation),
+                kinds
+                    .iter()
+                    .all(|tuning| (1.0..2.0).contains(&tuning.relaxation)),
                 "relaxation is at least 1 and below 2",
             ),
             (self.max_rho_step >= 1.0, "max_rho_step is at least 1"),
@@ -597,8 +595,8 @@ mod tests {
             ("check_interval", -1.0),
             ("small", 1.0),
             ("small.rho", 1.0),
-            ("relaxation", 2.0),
-            ("wide.unrestricted_updates", 0.5),
+            ("small.relaxation", 2.0),
+            ("wide.unrestricted_level", 0.5),
             ("max_rho_step", 0.5),
             ("min_relative_rho", 1e8),
             ("max_relative_rho", 1e-8),

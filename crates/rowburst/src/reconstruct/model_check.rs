@@ -27,7 +27,7 @@ const FREE_FIT: f64 = 1.02;
 /// Held-out error at the effective noise level over that at the noise of the sensor, above which the effective one only
 /// smooths; smaller does not follow errors of the PSF.
 const SMOOTHING_RISE: f64 = 1.15;
-/// Participation of a check's video over the number of measurements, above which nothing that is wrong is looked for where the frame
+/// Participation of a check's video over the number of measurements, above which no correction is looked for where the frame
 /// sees too little of the scene; smaller misses stray light on small sensors.
 const EXTENDED: f64 = 0.5;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
@@ -102,7 +102,8 @@ impl Problem {
         if is_extended && !self.has_turned_frame() {
             self.judge_undersampling(&check, prior, observer)?;
             if self.undersampled_error.is_some() {
-                self.has_wrong_model = self.has_other_shutter(&check, observer)?;
+                self.has_wrong_model =
+                    self.calibrates() && self.has_other_shutter(&check, observer)?;
                 return Ok(());
             }
         }
@@ -110,13 +111,13 @@ impl Problem {
         self.opens(&mut prior);
         self.subtract_row_offsets(&mut check, &mut run, prior, observer)?;
         self.keep_as_result(run);
+        self.judge_undersampling(&check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
             let light =
                 norm(self.data.measurements()) / (self.data.measurement_count() as f64).sqrt();
             let most = (MAX_EFFECTIVE_SIGMA * light).max(self.sigma);
-            self.judge_undersampling(&check, prior, observer)?;
             if self.undersampled_error.is_none() {
                 self.effective_sigma = self.effective_sigma_after(&check).min(most);
             }
@@ -125,8 +126,8 @@ impl Problem {
         Ok(())
     }
 
-    /// Whether the light of a check's video is spread over so many voxels that the frame may see too little of them. A search for
-    /// what is wrong that is asked for by name is not left out.
+    /// Whether the light of a check's video is spread over so many voxels that the frame may see too little of them to find a
+    /// correction. It is not judged where a correction is asked for by name.
     fn is_extended(&self, run: &HeldOutRun) -> bool {
         let limit = EXTENDED * self.data.measurement_count() as f64;
         !self.options.self_calibration.is_on() && run.admm.participation() > limit
@@ -280,8 +281,12 @@ impl Problem {
     ) -> Result<(), Box<RunResult>> {
         let calibration = self.calibration.as_ref();
         let has_refined_psf = calibration.is_some_and(|c| c.psf_refinement.is_some());
-        // A support cannot be that free in a dense scene, and a refined PSF knows its own error.
-        let is_judged_otherwise = self.has_wrong_model || self.is_dense || has_refined_psf;
+        // A support cannot be that free in a dense scene, a refined PSF knows its own error, and a noise level by held-out pixels
+        // follows from the error that would be judged.
+        let is_judged_otherwise = self.has_wrong_model
+            || self.is_dense
+            || has_refined_psf
+            || self.sigma_source == SigmaSource::HeldOut;
         let least_residual = self.sigma * (1.0 - self.options.tuning.max_freedom).sqrt();
         let is_free = check.residual_rms <= FREE_FIT * least_residual;
         if is_judged_otherwise || !is_free || self.is_explained(check) {

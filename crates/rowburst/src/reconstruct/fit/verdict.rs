@@ -109,7 +109,7 @@ fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     }
     if let Some(error) = evidence.undersampled_error {
         return suspicious(format!(
-            "the frame sees too little of the scene: the video misses held-out pixels by {} times the noise, with a right PSF and shutter as with wrong ones, so they are not tested; use a sparser scene, or a shutter that reads more rows in an instant",
+            "the frame sees too little of the scene to test PSF and camera: a video that fits the other pixels misses held-out ones by {} times the noise, whether they are right or not; use a sparser scene, or a shutter that reads more rows in an instant",
             digits(error)
         ));
     }
