@@ -143,7 +143,7 @@ fn every_kind_of_camera_gives_a_good_video() {
     assert!(!failed, "a video is worse than it should be");
 }
 
-/// Bins whose LEDs light up after the first restriction are widened, on wide sensors as on others.
+/// Bins that their support does not explain are widened step by step, on wide sensors as on others.
 #[test]
 fn leds_on_a_wide_sensor_converge() {
     let camera = camera((40, 520), Shutter::DualInsideOut, 10.0, None);

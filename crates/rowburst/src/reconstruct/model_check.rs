@@ -29,7 +29,7 @@ const FREE_FIT: f64 = 1.02;
 const SMOOTHING_RISE: f64 = 1.15;
 /// Participation of a check's video over the number of measurements, above which no correction is looked for where the frame
 /// sees too little of the scene; smaller misses stray light on small sensors.
-const EXTENDED: f64 = 0.5;
+const MAX_SEARCHED_PARTICIPATION: f64 = 0.5;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -97,9 +97,11 @@ impl Problem {
             (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
         }
-        let is_extended = run.as_ref().is_some_and(|run| self.is_extended(run));
+        let may_be_undersampled = run
+            .as_ref()
+            .is_some_and(|run| self.may_be_undersampled(run));
         self.keep_as_result(run.take());
-        if is_extended && !self.has_turned_frame() {
+        if may_be_undersampled && !self.has_turned_frame() {
             self.judge_undersampling(&check, prior, observer)?;
             if self.undersampled_error.is_some() {
                 self.has_wrong_model =
@@ -128,8 +130,8 @@ impl Problem {
 
     /// Whether the light of a check's video is spread over so many voxels that the frame may see too little of them to find a
     /// correction. It is not judged where a correction is asked for by name.
-    fn is_extended(&self, run: &HeldOutRun) -> bool {
-        let limit = EXTENDED * self.data.measurement_count() as f64;
+    fn may_be_undersampled(&self, run: &HeldOutRun) -> bool {
+        let limit = MAX_SEARCHED_PARTICIPATION * self.data.measurement_count() as f64;
         !self.options.self_calibration.is_on() && run.admm.participation() > limit
     }
 
