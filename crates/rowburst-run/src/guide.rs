@@ -207,7 +207,7 @@ pub struct AffineNumbers {
 pub struct GuideTrialNumbers {
     /// The model.
     pub model: String,
-    /// Highest cosine in time of a motion; null for other models.
+    /// Highest mode in time of a motion; null for other models.
     pub order: Option<usize>,
     /// Rms error of the fitted pixels over σ.
     pub fitted: f64,

@@ -68,14 +68,22 @@ impl Field {
         )
     }
 
+    /// Displacement of a place along y and x.
+    pub fn displacement_at(self, affine: &Affine, y: f32, x: f32) -> [f32; 2] {
+        let of = |at: f32, n: usize| (at - 0.5 * (n as f32 - 1.0)) / self.half_side() as f32;
+        let (eta, xi) = (of(y, self.rows), of(x, self.columns));
+        let p = affine.parameters.map(|p| p as f32);
+        [p[0] + p[1] * eta + p[2] * xi, p[3] + p[4] * eta + p[5] * xi]
+    }
+
     /// Displacement of every pixel along y and x.
     pub fn displacement(self, affine: &Affine) -> (Vec<f32>, Vec<f32>) {
-        let p = affine.parameters.map(|p| p as f32);
         let pixels = 0..self.rows * self.columns;
         pixels
             .map(|i| {
-                let (eta, xi) = self.place(i);
-                (p[0] + p[1] * eta + p[2] * xi, p[3] + p[4] * eta + p[5] * xi)
+                let (y, x) = (i / self.columns, i % self.columns);
+                let [dy, dx] = self.displacement_at(affine, y as f32, x as f32);
+                (dy, dx)
             })
             .unzip()
     }

@@ -1,10 +1,10 @@
-//! Smooth functions of time and place: cosines, and cubic B-splines on a coarse grid.
+//! Smooth functions of time and place: cosines, the modes of a free beam, and cubic B-splines on a coarse grid.
 
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Cosines over the bins, `√2 cos(πk(t + ½)/T)` and 1 for k = 0: mean square 1.
-pub(super) fn cosine(k: usize, bin: f64, bins: usize) -> f64 {
+fn cosine(k: usize, bin: f64, bins: usize) -> f64 {
     if k == 0 {
         return 1.0;
     }
@@ -20,6 +20,35 @@ pub(super) fn cosines(count: usize, bins: usize) -> Vec<Vec<f32>> {
     };
     (0..count).map(line).collect()
 }
+
+/// Modes of a free beam over the bins, with mean square 1: a constant, a line, then vibrations. They are the orthogonal
+/// functions with the least mean square second derivative, so that a motion of constant velocity needs one of them. Before the first
+/// bin and after the last they go on as lines.
+pub(super) fn beam_mode(k: usize, bin: f64, bins: usize) -> f64 {
+    let x = (bin + 0.5) / bins as f64 - 0.5;
+    if k < 2 {
+        return if k == 0 { 1.0 } else { 12.0f64.sqrt() * x };
+    }
+    let root = BEAM_ROOTS.get(k - 2).copied();
+    let beta = root.unwrap_or((k as f64 - 0.5) * PI);
+    let inside = x.clamp(-0.5, 0.5);
+    let (at, end) = (beta * inside, 0.5 * beta);
+    let (value, slope) = if k.is_multiple_of(2) {
+        (
+            at.cos() / end.cos() + at.cosh() / end.cosh(),
+            at.sinh() / end.cosh() - at.sin() / end.cos(),
+        )
+    } else {
+        (
+            at.sin() / end.sin() + at.sinh() / end.sinh(),
+            at.cos() / end.sin() + at.cosh() / end.sinh(),
+        )
+    };
+    value + beta * slope * (x - inside)
+}
+
+/// Roots of `cosh(β) cos(β) = 1`; the later ones are `(k − ½)π`.
+const BEAM_ROOTS: [f64; 4] = [4.730_041, 7.853_205, 10.995_608, 14.137_165];
 
 /// Control points that a pixel depends on, and their weights.
 type Taps = [(usize, f32); 4];
@@ -107,27 +136,26 @@ impl Spline {
         }
     }
 
-    /// Adds `weight` times the membrane energy's gradient of one set of control points: differences of neighbours,
-    /// and a hundredth of the value itself.
-    pub fn add_membrane(&self, control: &[f32], weight: f32, out: &mut [f32]) {
+    /// Calls `act(edge, at, other)` for each pair of neighbouring control points.
+    pub fn for_each_edge(&self, mut act: impl FnMut(usize, usize, usize)) {
         let (rows, width) = self.grid;
+        let mut edge = 0;
         for y in 0..rows {
             for x in 0..width {
                 let at = y * width + x;
-                out[at] += 0.01 * weight * control[at];
-                let mut pair = |other: usize| {
-                    let difference = weight * (control[other] - control[at]);
-                    out[at] -= difference;
-                    out[other] += difference;
-                };
-                if x + 1 < width {
-                    pair(at + 1);
-                }
-                if y + 1 < rows {
-                    pair(at + width);
+                let others = [(x + 1 < width, at + 1), (y + 1 < rows, at + width)];
+                for (_, other) in others.into_iter().filter(|(exists, _)| *exists) {
+                    act(edge, at, other);
+                    edge += 1;
                 }
             }
         }
+    }
+
+    /// Number of pairs of neighbouring control points.
+    pub fn edges(&self) -> usize {
+        let (rows, width) = self.grid;
+        rows * (width - 1) + width * (rows - 1)
     }
 }
 
@@ -174,17 +202,49 @@ mod tests {
     }
 
     #[test]
-    fn the_membrane_is_symmetric_and_positive() {
-        let spline = Spline::new(30, 30, 6.0);
-        let wave =
-            |s: f32| -> Vec<f32> { (0..spline.points()).map(|i| (i as f32 * s).sin()).collect() };
-        let of = |c: &[f32]| {
-            let mut out = vec![0.0; c.len()];
-            spline.add_membrane(c, 2.0, &mut out);
-            out
-        };
-        let (a, b) = (wave(0.7), wave(1.3));
-        assert!((dot(&of(&a), &b) - dot(&a, &of(&b))).abs() < 1e-4);
-        assert!(dot(&of(&a), &a) > 0.0);
+    fn modes_of_a_beam_are_orthonormal() {
+        let bins = 400;
+        let modes: Vec<Vec<f64>> = (0..9)
+            .map(|k| (0..bins).map(|t| beam_mode(k, t as f64, bins)).collect())
+            .collect();
+        for (j, a) in modes.iter().enumerate() {
+            for (k, b) in modes.iter().enumerate() {
+                let product: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+                let expected = f64::from(u8::from(j == k));
+                assert!((product / bins as f64 - expected).abs() < 1e-3, "{j} {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn modes_go_on_as_lines_beyond_the_video() {
+        let bins = 54;
+        for k in 0..8 {
+            let at = |bin: f64| beam_mode(k, bin, bins);
+            let step = |from: f64| at(from + 1.0) - at(from);
+            assert!((step(60.0) - step(5000.0)).abs() < 1e-6, "{k}");
+            // Value and slope at the end of the last bin.
+            let (before, after) = (at(53.5) - at(53.49), at(53.51) - at(53.5));
+            assert!(
+                (before - after).abs() < 0.02 * after.abs() + 1e-9,
+                "{k} {before} {after}"
+            );
+        }
+    }
+
+    #[test]
+    fn each_pair_of_neighbours_is_visited_once() {
+        let spline = Spline::new(30, 42, 6.0);
+        let mut pairs = Vec::new();
+        spline.for_each_edge(|edge, at, other| {
+            assert_eq!(edge, pairs.len());
+            pairs.push((at, other));
+        });
+        assert_eq!(pairs.len(), spline.edges());
+        assert_eq!(pairs.len(), 5 * 6 + 7 * 4);
+        pairs.sort_unstable();
+        pairs.dedup();
+        assert_eq!(pairs.len(), spline.edges());
+        assert!(pairs.iter().all(|(a, b)| b - a == 1 || b - a == 7));
     }
 }

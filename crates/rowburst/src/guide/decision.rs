@@ -5,11 +5,15 @@ use rowburst_optics::Image;
 
 /// Held-out error of a motion over that of a gain field above which the gain field is chosen; a gain field has more
 /// parameters and predicts held-out pixels a little better where things move (docs/design/028).
-const MOTION_MARGIN: f64 = 1.5;
+const MOTION_MARGIN: f64 = 1.4;
+/// The same above which no richer motion is tried.
+pub(super) const HOPELESS_MOTION: f64 = 3.0;
 /// Least part by which a richer motion must lower the held-out error.
 const RICHER_MARGIN: f64 = 0.995;
-/// Held-out error of a motion or of a still picture over that without a guide above which the guide is dropped.
-const MAX_RATIO: f64 = 1.18;
+/// Held-out error of a motion over that without a guide above which the guide is dropped.
+const MAX_MOTION_RATIO: f64 = 1.06;
+/// The same for a still picture.
+const MAX_STILL_RATIO: f64 = 1.18;
 /// The same for a gain field, which the coarse video without a guide beats where cells flicker fast.
 const MAX_GAIN_RATIO: f64 = 2.0;
 /// The same for places, whose traces explain every change of brightness; above so many σ the second.
@@ -18,8 +22,9 @@ const MAX_BAD_PLACES_RATIO: f64 = 0.5;
 const BAD_PLACES: f64 = 4.0;
 /// Held-out error over σ up to which places explain the frame, whatever is left without them.
 const GOOD_PLACES: f64 = 1.15;
-/// Correlation with the coarse picture of the scene below which the guide is dropped; pictures of other scenes reach 0.2.
-const MIN_CORRELATION: f64 = 0.4;
+/// Correlation with the coarse picture of the scene below which the guide is dropped. Honest ones
+/// are above; so are some of other scenes, which a motion does not explain (docs/design/028).
+const MIN_CORRELATION: f64 = 0.3;
 /// Part of a guide's pixels at its greatest value above which it is overexposed.
 const MAX_SATURATED: f64 = 0.05;
 
@@ -106,7 +111,8 @@ impl Evidence<'_> {
             GuideModel::Gain => MAX_GAIN_RATIO,
             GuideModel::Places if chosen.held_out > BAD_PLACES => MAX_BAD_PLACES_RATIO,
             GuideModel::Places => MAX_PLACES_RATIO,
-            _ => MAX_RATIO,
+            GuideModel::Still => MAX_STILL_RATIO,
+            GuideModel::Motion | GuideModel::Auto => MAX_MOTION_RATIO,
         };
         if chosen.model == GuideModel::Places {
             return (ratio > limit && chosen.held_out > GOOD_PLACES).then(|| {

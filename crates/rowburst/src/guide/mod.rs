@@ -5,26 +5,30 @@
 //! brightness. The models are
 //!
 //! ```text
-//! motion      v(x, t) = a G(x + d(x) + Σ_k τ_k(t) θ_k(x)) + c
-//! gain field  v(x, t) = G(x + d(x)) Σ_k τ_k(t) φ_k(x)
+//! motion      v(x, t) = a G(p + d(p)) + c,   p + Σ_k τ_k(t) θ_k(p) = x
+//! gain field  v(x, t) = G(x + d(x)) Σ_k c_k(t) φ_k(x)
 //! still       v(x, t) = a G(x + d(x)) + c
 //! places      v(x, t) = Σ_k s_k(t) G_k(x + d(x))
 //! ```
 //!
-//! with cosines `τ_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is
+//! with modes of a free beam `τ_k` and cosines `c_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is
 //! found by registration on a coarse video without a guide, then from the frame. A tenth of the pixels of every row judges:
 //! [`fit`] drops a guide that predicts them worse than no guide (docs/design/028).
 
 mod affine;
 mod basis;
 mod decision;
+mod flow;
 mod frame_fit;
 mod gain_field;
+mod key_frames;
 mod known_places;
 mod least_squares;
+mod mesh;
 mod motion;
 mod picture;
 mod shapes;
+mod smoothness;
 mod without_guide;
 
 pub use affine::Affine;
@@ -34,8 +38,9 @@ use affine::{Field, register};
 use decision::Evidence;
 use frame_fit::FrameFit;
 use gain_field::{GainField, GainModel};
+use key_frames::KeyFrame;
 use known_places::PlacesModel;
-use motion::{KeyFrame, Motion, MotionModel};
+use motion::{Motion, MotionModel};
 use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_optics::{Camera, Image, Measurement, RollingShutter, Video};
 use tracing::info;
@@ -103,7 +108,7 @@ impl GuideModel {
 pub struct GuideTrial {
     /// The model.
     pub model: GuideModel,
-    /// Highest cosine in time of a motion.
+    /// Highest mode in time of a motion: 1 is a constant velocity.
     pub order: Option<usize>,
     /// Rms error of the fitted pixels over σ.
     pub fitted: f64,
@@ -126,7 +131,7 @@ pub struct GuideFit {
     pub blur_px: f64,
     /// The map from the field to the guide.
     pub affine: Affine,
-    /// The guide seen from the field; the first guide of several.
+    /// The guide seen from the field; of several the one nearest to the middle of the video.
     pub registered: Image,
     /// Correlation of the registered guide with the coarse picture of the scene that the frame gives without it.
     pub correlation: f64,
@@ -138,6 +143,8 @@ pub struct GuideFit {
     pub known_places: Option<KnownPlaces>,
     /// The models that were tried.
     pub trials: Vec<GuideTrial>,
+    /// Index of the trial of the chosen model.
+    chosen: usize,
     /// Rms error of the held-out pixels over σ of the coarse video without a guide.
     pub held_out_without: f64,
     /// Whether the guide belongs to the frame.
@@ -149,16 +156,16 @@ pub struct GuideFit {
 impl GuideFit {
     /// The trial of the chosen model.
     pub fn best(&self) -> &GuideTrial {
-        let of_model = self.trials.iter().filter(|t| t.model == self.model);
-        let best = of_model.min_by(|a, b| a.held_out.total_cmp(&b.held_out));
-        best.expect("the model was tried")
+        &self.trials[self.chosen]
     }
 }
 
-/// Highest cosines in time of the motions that are tried.
-const ORDERS: [usize; 3] = [2, 3, 5];
+/// Highest modes in time of the motions that are tried, each from the one before.
+const ORDERS: [usize; 4] = [1, 2, 3, 5];
+/// Times of a guide of unknown time that are tried first, as parts of the video.
+const ASSUMED_TIMES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 /// Blurs of a fit from coarse to fine, in pixels of a field of 108, and of one that goes on from a coarser model.
-const BLURS_PX: [f64; 4] = [4.0, 2.0, 1.0, 0.0];
+const BLURS_PX: [f64; 3] = [4.0, 2.0, 0.0];
 const RESTART_BLURS_PX: [f64; 2] = [1.0, 0.0];
 /// Gauss–Newton steps at each blur; more gain little.
 const STEPS: usize = 6;
@@ -182,20 +189,24 @@ pub fn fit(
 ) -> Result<GuideFit> {
     check(guides, model)?;
     let shape = operator.video_shape();
+    check_bins(shape.bins, guides.len(), model)?;
     let frame = FrameFit::new(operator, measurement, sigma, cancel);
-    let key_frames: Vec<KeyFrame> = guides
+    let mut key_frames: Vec<KeyFrame> = guides
         .iter()
         .map(|guide| KeyFrame {
-            image: normalised(&picture::on_grid(&guide.image, shape.rows, shape.columns)),
+            image: picture::on_grid(&guide.image, shape.rows, shape.columns),
             bins: guide.exposure.map(|e| bins_of(camera, e)),
         })
         .collect();
+    let reference = key_frames::nearest_to_middle(&key_frames, shape.bins);
+    check_on_field(&key_frames)?;
+    let peak = key_frames::normalise(&mut key_frames, reference);
     let without = WithoutGuide::new(&frame);
     cancel.check()?;
-    let coarse = coarse_pictures(&frame, &without, &key_frames[0]);
+    let coarse = coarse_pictures(&frame, &without, &key_frames[reference]);
     let found = coarse
         .iter()
-        .map(|coarse| register(coarse, &key_frames[0].image));
+        .map(|coarse| register(coarse, &key_frames[reference].image));
     let best = found.max_by(|a, b| a.1.total_cmp(&b.1));
     let (start, correlation) = best.expect("at least one picture");
     info!(
@@ -206,11 +217,12 @@ pub fn fit(
     let search = Search {
         frame: &frame,
         key_frames: &key_frames,
+        reference: &key_frames[reference].image,
         start,
         correlation,
         held_out_without: without.held_out,
-        saturated: decision::saturated(&guides[0].image),
-        scale: f64::from(guides[0].image.max()),
+        saturated: decision::saturated(&guides[reference].image),
+        scale: f64::from(peak),
     };
     search.run(model)
 }
@@ -219,12 +231,14 @@ pub fn fit(
 struct Search<'a> {
     frame: &'a FrameFit<'a>,
     key_frames: &'a [KeyFrame],
+    /// The guide nearest to the middle of the video.
+    reference: &'a Image,
     start: Affine,
     correlation: f64,
     held_out_without: f64,
-    /// Part of the guide's pixels at its greatest value.
+    /// Part of that guide's pixels at its greatest value.
     saturated: f64,
-    /// Greatest value of the first guide, by which the guides were divided.
+    /// Greatest value of that guide, by which it was divided.
     scale: f64,
 }
 
@@ -249,13 +263,13 @@ impl Search<'_> {
         if wants(GuideModel::Still) {
             candidates.push(self.still());
         }
-        if wants(GuideModel::Motion) {
-            candidates.extend(self.motions());
-        }
+        let wants_gain = wants(GuideModel::Gain) && self.key_frames.len() == 1;
+        let gain = wants_gain.then(|| self.gain_field());
         self.frame.cancel().check()?;
-        if wants(GuideModel::Gain) && self.key_frames.len() == 1 {
-            candidates.push(self.gain_field());
+        if wants(GuideModel::Motion) {
+            candidates.extend(self.motions(gain.as_ref().map(|gain| gain.trial.held_out)));
         }
+        candidates.extend(gain);
         if model == GuideModel::Places {
             candidates.push(self.known_places()?);
         }
@@ -274,7 +288,7 @@ impl Search<'_> {
         let (used, reason) = evidence.verdict(&trials[chosen]);
         info!("guide {reason}");
         let candidate = candidates.swap_remove(chosen);
-        self.finish(candidate, trials, used, reason)
+        self.finish(candidate, trials, chosen, used, reason)
     }
 
     fn candidate(&self, fitted: Fitted, video: &[f32]) -> Candidate {
@@ -301,12 +315,12 @@ impl Search<'_> {
     }
 
     fn still(&self) -> Candidate {
-        let (.., video) = gain_field::still(self.frame, &self.key_frames[0].image, &self.start);
+        let (.., video) = gain_field::still(self.frame, self.reference, &self.start);
         self.candidate(Fitted::Still, &video)
     }
 
     fn gain_field(&self) -> Candidate {
-        let model = GainModel::new(self.frame, &self.key_frames[0].image, self.start);
+        let model = GainModel::new(self.frame, self.reference, self.start);
         let found = model.fit();
         let video = model.video(&found);
         self.candidate(Fitted::Gain(found), &video)
@@ -314,7 +328,7 @@ impl Search<'_> {
 
     /// Traces of the places of the guide, under the map of a gain field.
     fn known_places(&self) -> Result<Candidate> {
-        let guide = &self.key_frames[0].image;
+        let guide = self.reference;
         let affine = GainModel::new(self.frame, guide, self.start).fit().affine;
         self.frame.cancel().check()?;
         let model = PlacesModel::registered(self.frame, guide, &affine)?;
@@ -325,8 +339,9 @@ impl Search<'_> {
         Ok(self.candidate(fitted, &model.video()))
     }
 
-    /// Motions with more and more cosines, each from the one before.
-    fn motions(&self) -> Vec<Candidate> {
+    /// Motions with more and more modes, each from the one before, unless they are hopeless beside the held-out error of a gain
+    /// field.
+    fn motions(&self, gain: Option<f64>) -> Vec<Candidate> {
         let mut candidates = Vec::new();
         let mut last: Option<(MotionModel, Motion)> = None;
         let bins = self.frame.shape().bins;
@@ -342,8 +357,8 @@ impl Search<'_> {
                     motion
                 }
                 None => {
-                    let mut motion = model.at_rest();
-                    model.fit(&mut motion, &BLURS_PX, STEPS);
+                    let (mut motion, blurs) = self.first_motion(&model);
+                    model.fit(&mut motion, blurs, STEPS);
                     motion
                 }
             };
@@ -352,10 +367,38 @@ impl Search<'_> {
                 order,
                 motion: motion.clone(),
             };
-            candidates.push(self.candidate(fitted, &video));
+            let candidate = self.candidate(fitted, &video);
+            let held_out = candidate.trial.held_out;
+            candidates.push(candidate);
+            if gain.is_some_and(|gain| held_out > decision::HOPELESS_MOTION * gain) {
+                break;
+            }
             last = Some((model, motion));
         }
         candidates
+    }
+
+    /// Where the fit of `model` begins, and its blurs: at rest, or where the time of the guide is unknown, at the best of the coarse
+    /// motions that assume one of a few times.
+    fn first_motion(&self, model: &MotionModel) -> (Motion, &'static [f64]) {
+        let [guide @ KeyFrame { bins: None, .. }] = self.key_frames else {
+            return (model.at_rest(), &BLURS_PX);
+        };
+        let assumed = |part: f64| {
+            let bin = part * self.frame.shape().bins as f64 - 0.5;
+            let guide = KeyFrame {
+                bins: Some((bin, bin)),
+                ..guide.clone()
+            };
+            let known = MotionModel::new(self.frame, &[guide], self.start, ORDERS[0]);
+            let mut motion = known.at_rest();
+            known.fit(&mut motion, &BLURS_PX[..1], STEPS);
+            let misfit = motion.misfit();
+            (misfit, model.of_known_time(&motion, bin))
+        };
+        let motions = ASSUMED_TIMES.map(assumed).into_iter();
+        let best = motions.min_by(|a, b| a.0.total_cmp(&b.0));
+        (best.expect("at least one time").1, &BLURS_PX[1..])
     }
 
     fn motion_model<'f>(&self, frame: &'f FrameFit<'f>, order: usize) -> MotionModel<'f> {
@@ -367,6 +410,7 @@ impl Search<'_> {
         &self,
         candidate: Candidate,
         trials: Vec<GuideTrial>,
+        chosen: usize,
         used: bool,
         reason: String,
     ) -> Result<GuideFit> {
@@ -384,7 +428,7 @@ impl Search<'_> {
                 (video, affine, gain, offset, blur, model.parameters() as f64)
             }
             Fitted::Gain(mut found) => {
-                let model = GainModel::new(&whole, &self.key_frames[0].image, self.start);
+                let model = GainModel::new(&whole, self.reference, self.start);
                 model.refit(&mut found);
                 let video = model.video(&found);
                 (
@@ -397,12 +441,12 @@ impl Search<'_> {
                 )
             }
             Fitted::Still => {
-                let guide = &self.key_frames[0].image;
+                let guide = self.reference;
                 let (gain, offset, video) = gain_field::still(&whole, guide, &self.start);
                 (video, self.start, gain, offset, 0.0, 8.0)
             }
             Fitted::Places { affine, width } => {
-                let guide = &self.key_frames[0].image;
+                let guide = self.reference;
                 let model = PlacesModel::new(&whole, guide, affine, width)?;
                 let (found, parameters) = model.traces();
                 known_places = Some(found);
@@ -427,12 +471,13 @@ impl Search<'_> {
             offset,
             blur_px,
             affine,
-            registered: field.warp(&self.key_frames[0].image, &affine),
+            registered: field.warp(self.reference, &affine),
             correlation: self.correlation,
             displacement_px,
             degrees_of_freedom: parameters,
             known_places,
             trials,
+            chosen,
             held_out_without: self.held_out_without,
             used,
             reason,
@@ -486,14 +531,6 @@ fn bins_of(camera: &Camera, exposure: GuideExposure) -> (f64, f64) {
     )
 }
 
-/// The image with greatest value 1.
-fn normalised(image: &Image) -> Image {
-    let mut image = image.clone();
-    let peak = image.max();
-    image.data_mut().iter_mut().for_each(|p| *p /= peak);
-    image
-}
-
 fn check(guides: &[Guide], model: GuideModel) -> Result<()> {
     let fault = |found: String, rule: &'static str, remedy: &'static str| {
         Err(Error::input(Parameter::Guide, found, rule, remedy))
@@ -537,6 +574,34 @@ fn check(guides: &[Guide], model: GuideModel) -> Result<()> {
         check_key_frames(guides, model)?;
     }
     Ok(())
+}
+
+/// A motion needs bins to move in.
+fn check_bins(bins: usize, guides: usize, model: GuideModel) -> Result<()> {
+    if bins > 1 || (model != GuideModel::Motion && guides == 1) {
+        return Ok(());
+    }
+    let fault = Error::input(
+        Parameter::Guide,
+        format!("{guides} pictures for a motion in {bins} bin"),
+        "a motion has two bins or more",
+        "Give one picture and the model still or gain.",
+    );
+    Err(fault.with_kind(ErrorKind::Unsupported))
+}
+
+/// A guide has light at the pixels of the field.
+fn check_on_field(guides: &[KeyFrame]) -> Result<()> {
+    let is_dark = |guide: &KeyFrame| guide.image.max() <= 0.0;
+    if !guides.iter().any(is_dark) {
+        return Ok(());
+    }
+    Err(Error::input(
+        Parameter::Guide,
+        "no light at the resolution of the field",
+        "a picture has light and shade",
+        "Check the exposure of the second camera, and the dark level that was subtracted.",
+    ))
 }
 
 /// Several guides need different times, and move.
