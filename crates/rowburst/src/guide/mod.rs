@@ -11,9 +11,10 @@
 //! places      v(x, t) = Σ_k s_k(t) G_k(x + d(x))
 //! ```
 //!
-//! with modes of a free beam `τ_k` and cosines `c_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is
-//! found by registration on a coarse video without a guide, then from the frame. A tenth of the pixels of every row judges:
-//! [`fit`] drops a guide that predicts them worse than no guide (docs/design/028).
+//! with modes of a free beam `τ_k` and cosines `c_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the
+//! k-th place. In a motion each point `p` carries its displacement. The affine map `d` is found by registration on a coarse
+//! video without a guide, then from the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that predicts
+//! them worse than no guide (docs/design/028).
 
 mod affine;
 mod basis;
@@ -393,8 +394,7 @@ impl Search<'_> {
             let known = MotionModel::new(self.frame, &[guide], self.start, ORDERS[0]);
             let mut motion = known.at_rest();
             known.fit(&mut motion, &BLURS_PX[..1], STEPS);
-            let misfit = motion.misfit();
-            (misfit, model.of_known_time(&motion, bin))
+            (motion.misfit, model.of_known_time(&motion, bin))
         };
         let motions = ASSUMED_TIMES.map(assumed).into_iter();
         let best = motions.min_by(|a, b| a.0.total_cmp(&b.0));
@@ -592,13 +592,13 @@ fn check_bins(bins: usize, guides: usize, model: GuideModel) -> Result<()> {
 
 /// A guide has light at the pixels of the field.
 fn check_on_field(guides: &[KeyFrame]) -> Result<()> {
-    let is_dark = |guide: &KeyFrame| guide.image.max() <= 0.0;
-    if !guides.iter().any(is_dark) {
+    let greatest = guides.iter().map(|guide| guide.image.max());
+    let Some(dark) = greatest.into_iter().find(|max| *max <= 0.0) else {
         return Ok(());
-    }
+    };
     Err(Error::input(
         Parameter::Guide,
-        "no light at the resolution of the field",
+        format!("values up to {dark} at the resolution of the field"),
         "a picture has light and shade",
         "Check the exposure of the second camera, and the dark level that was subtracted.",
     ))
@@ -630,4 +630,30 @@ fn check_key_frames(guides: &[Guide], model: GuideModel) -> Result<()> {
         .with_kind(ErrorKind::Unsupported));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_needs_two_bins() {
+        assert!(check_bins(1, 1, GuideModel::Auto).is_ok());
+        assert!(check_bins(2, 3, GuideModel::Motion).is_ok());
+        for (guides, model) in [(1, GuideModel::Motion), (2, GuideModel::Auto)] {
+            let error = check_bins(1, guides, model).unwrap_err().to_string();
+            assert!(error.contains("two bins or more"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_guide_that_is_dark_on_the_grid_of_the_field_is_refused() {
+        let guide = |value: f32| KeyFrame {
+            image: Image::from_fn(4, 4, |_, _| value),
+            bins: None,
+        };
+        assert!(check_on_field(&[guide(0.5)]).is_ok());
+        let error = check_on_field(&[guide(0.5), guide(-0.1)]).unwrap_err();
+        assert!(error.to_string().contains("-0.1"), "{error}");
+    }
 }

@@ -40,14 +40,8 @@ pub(super) struct Motion {
     values: Vec<f32>,
     pub gain: f64,
     pub offset: f64,
-    misfit: f64,
-}
-
-impl Motion {
     /// The objective of the fit that found it.
-    pub fn misfit(&self) -> f64 {
-        self.misfit
-    }
+    pub misfit: f64,
 }
 
 /// The video of a motion and its light in the frame, without gain and offset.
