@@ -20,6 +20,11 @@ use std::time::Instant;
 const N: usize = 108;
 /// Pixels around the field that the guide's camera sees, so that a shifted guide has no edge.
 const MARGIN: usize = 12;
+/// Shifts at which the object of `bench` is looked for.
+const PATH_REACH_PX: f64 = 6.0;
+const PATH_STEP_PX: f64 = 0.25;
+/// What differs from the still part by more than this part of the greatest light is the object.
+const PATH_CONTRAST: f32 = 0.1;
 
 fn main() {
     let mut args = std::env::args().skip(1);
@@ -31,7 +36,7 @@ fn main() {
     let kinds = args.next().unwrap_or_else(|| "honest".into());
     let kinds: Vec<&str> = kinds.split(',').collect();
     println!(
-        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tshift_y\tshift_x\tturn_deg\tmagnification\tseconds\tof_sparse\ttrials"
+        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tshift_y\tshift_x\tturn_deg\tmagnification\tpath_px\tseconds\tof_sparse\ttrials"
     );
     for name in scenes.split(',') {
         let scene = DenseScene::ALL.into_iter().find(|s| s.name() == name);
@@ -274,7 +279,7 @@ impl Case {
                 .collect();
             let half = 0.5 * N as f64;
             println!(
-                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{seconds:.1}\t\t{}",
+                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{}\t{seconds:.1}\t\t{}",
                 self.scene.name(),
                 self.exposure,
                 self.seed,
@@ -290,6 +295,7 @@ impl Case {
                 found.affine.shift_px().1,
                 found.affine.rotation_deg(half),
                 found.affine.magnification(half),
+                two_digits(self.path_error(&found.video)),
                 trials.join(" ")
             );
         }
@@ -301,7 +307,7 @@ impl Case {
         let (found, seconds) = self.reconstructed(&self.measurement);
         let choice = found.choice.as_ref().map(|choice| choice.best());
         println!(
-            "{}\t{}\t{}\tnone\tfalse\t{}\t0\t{:.2}\t{:.2}\t{:.3}\t\t\t\t\t\t\t{seconds:.1}\t{:.1}\t",
+            "{}\t{}\t{}\tnone\tfalse\t{}\t0\t{:.2}\t{:.2}\t{:.3}\t\t\t\t\t\t\t{}\t{seconds:.1}\t{:.1}\t",
             self.scene.name(),
             self.exposure,
             self.seed,
@@ -309,9 +315,61 @@ impl Case {
             psnr_db(found.video.data(), self.truth.data()),
             psnr_db(&still_mean(&self.truth), self.truth.data()),
             choice.map_or(f64::NAN, |best| best.error),
+            two_digits(self.path_error(&found.video)),
             seconds / sparse_seconds
         );
     }
+}
+
+impl Case {
+    /// Rms distance in pixels between the object of `bench` in `video` and in the truth; `None` for other scenes. In each bin
+    /// the object of the truth is shifted to where the video is nearest to it, within `PATH_REACH_PX`.
+    fn path_error(&self, video: &Video) -> Option<f64> {
+        if self.scene != DenseScene::Bench {
+            return None;
+        }
+        let shape = self.truth.shape();
+        let still = background(&self.truth);
+        let limit = PATH_CONTRAST * self.truth.data().iter().fold(0.0f32, |m, v| m.max(*v));
+        let steps = (2.0 * PATH_REACH_PX / PATH_STEP_PX) as usize;
+        let shift = |k: usize| k as f64 * PATH_STEP_PX - PATH_REACH_PX;
+        let squared_distance = |t: usize| {
+            let image = |video: &Video| Image::new(N, N, video.bin(t).to_vec()).unwrap();
+            let (truth, found) = (image(&self.truth), image(video));
+            let object: Vec<usize> = (0..shape.pixels())
+                .filter(|i| (truth.data()[*i] - still[*i]).abs() > limit)
+                .collect();
+            let error = |dy: f64, dx: f64| -> f64 {
+                let at = |i: &usize| sample(&found, (i / N) as f64 + dy, (i % N) as f64 + dx);
+                let pixels = object.iter();
+                pixels
+                    .map(|i| (at(i) - f64::from(truth.data()[*i])).powi(2))
+                    .sum()
+            };
+            let places = (0..=steps).flat_map(|i| (0..=steps).map(move |j| (shift(i), shift(j))));
+            let errors = places.map(|(dy, dx)| (error(dy, dx), dy.powi(2) + dx.powi(2)));
+            errors.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap().1
+        };
+        let sum: f64 = (0..shape.bins).map(squared_distance).sum();
+        Some((sum / shape.bins as f64).sqrt())
+    }
+}
+
+/// What the object of `bench` passes before: no pixel is covered in the first and in the last bin, and one that is covered
+/// changes from bin to bin.
+fn background(video: &Video) -> Vec<f32> {
+    let last = video.shape().bins - 1;
+    let change = |i: usize, a: usize, b: usize| (video.bin(a)[i] - video.bin(b)[i]).abs();
+    let of_pixel = |i: usize| {
+        let is_covered_at_first = change(i, 0, 1) > change(i, last - 1, last);
+        video.bin(if is_covered_at_first { last } else { 0 })[i]
+    };
+    (0..video.shape().pixels()).map(of_pixel).collect()
+}
+
+/// A number with two digits, or nothing.
+fn two_digits(value: Option<f64>) -> String {
+    value.map_or_else(String::new, |value| format!("{value:.2}"))
 }
 
 /// The frame of `scene` at SNR 256.

@@ -1,7 +1,9 @@
 //! The affine map from the field to a guide, and its first estimate by registration on a coarse picture of the scene.
 
 use super::least_squares::project;
+use super::margin::GuideSample;
 use super::picture;
+use rayon::prelude::*;
 use rowburst_core::vecmath::{dot, solve_normal};
 use rowburst_optics::Image;
 
@@ -88,6 +90,17 @@ impl Field {
             .unzip()
     }
 
+    /// What the voxel `v` of a video of this field takes of a guide at rest.
+    pub fn sample(self, map: &Affine, v: usize) -> GuideSample {
+        let p = v % (self.rows * self.columns);
+        let (y, x) = ((p / self.columns) as f32, (p % self.columns) as f32);
+        let [dy, dx] = self.displacement_at(map, y, x);
+        GuideSample {
+            at: [y + dy, x + dx],
+            weight: 1.0,
+        }
+    }
+
     /// The guide seen from the field.
     pub fn warp(self, guide: &Image, affine: &Affine) -> Image {
         let (dy, dx) = self.displacement(affine);
@@ -119,7 +132,7 @@ pub(super) fn register(coarse: &Image, guide: &Image) -> (Affine, f64) {
         columns: coarse.columns(),
     };
     let unit = field.half_side() / 54.0;
-    let mut best = search(field, coarse, guide, unit);
+    let mut best = search(coarse, guide);
     for blur in BLURS_PX {
         let (from, to) = (guide.blurred(blur * unit), coarse.blurred(blur * unit));
         for _ in 0..STEPS {
@@ -137,28 +150,33 @@ pub(super) fn register(coarse: &Image, guide: &Image) -> (Affine, f64) {
     (best, correlation(&coarse.blurred(blur), &warped))
 }
 
-/// The best of a grid of shifts, turns and magnifications.
-fn search(field: Field, coarse: &Image, guide: &Image, unit: f64) -> Affine {
-    let blur = BLURS_PX[0] * unit;
-    let (from, to) = (guide.blurred(blur), coarse.blurred(blur));
+/// The best of a grid of shifts, turns and magnifications, on pictures of half the resolution.
+fn search(coarse: &Image, guide: &Image) -> Affine {
+    let (rows, columns) = (coarse.rows().div_ceil(2), coarse.columns().div_ceil(2));
+    let field = Field { rows, columns };
+    let half = field.half_side();
+    let unit = half / 54.0;
+    let blurred = |picture| picture::on_grid(picture, rows, columns).blurred(BLURS_PX[0] * unit);
+    let (from, to) = (blurred(guide), blurred(coarse));
     let reach = (SEARCH_SHIFT_PX / SEARCH_STEP_PX) as i32;
     let shift = |k: i32| f64::from(k) * SEARCH_STEP_PX * unit;
-    let half = field.half_side();
-    let mut best = (f64::NEG_INFINITY, Affine::default());
-    for turn in SEARCH_LINEAR {
-        for grow in SEARCH_LINEAR {
+    let mut maps = Vec::new();
+    for turn in SEARCH_LINEAR.map(|turn| turn * half) {
+        for grow in SEARCH_LINEAR.map(|grow| grow * half) {
             for (i, j) in (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| (i, j))) {
-                let (turn, grow) = (turn * half, grow * half);
                 let parameters = [shift(i), grow, turn, shift(j), -turn, grow];
-                let affine = Affine { parameters };
-                let score = correlation(&to, &field.warp(&from, &affine));
-                if score > best.0 {
-                    best = (score, affine);
-                }
+                maps.push(Affine { parameters });
             }
         }
     }
-    best.1
+    let score = |map: &Affine| correlation(&to, &field.warp(&from, map));
+    let scores: Vec<f64> = maps.par_iter().map(score).collect();
+    let best = (0..maps.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]));
+    let full = 0.5 * coarse.rows().max(coarse.columns()) as f64;
+    let parameters = maps[best.expect("a grid of maps")].parameters;
+    Affine {
+        parameters: parameters.map(|p| p * full / half),
+    }
 }
 
 /// A Gauss–Newton step of `Σ (α G(x + d) + γ − m)²` with the prior.

@@ -68,7 +68,7 @@ pub(super) struct Evidence<'a> {
     pub held_out_without: f64,
     pub correlation: f64,
     pub saturated: f64,
-    /// See [`super::Affine::deviation`].
+    /// The larger [`super::Affine::deviation`] of the registered map and of the fitted one.
     pub deviation: f64,
 }
 

@@ -17,6 +17,7 @@
 use super::affine::{Affine, Field};
 use super::basis::{Spline, beam_mode};
 use super::key_frames::{KeyFrame, nearest_to_middle, shares, time_of};
+use super::margin::GuideSample;
 use super::mesh::{Drawing, Mesh};
 use super::picture;
 use rayon::prelude::*;
@@ -46,6 +47,8 @@ pub(super) struct Flow {
     /// Share of each guide, `[i][t]`.
     shares: Vec<Vec<f32>>,
     start: Affine,
+    /// Width of the margin of the guides' pictures in pixels.
+    margin: f32,
 }
 
 /// A video, and the point that each voxel shows.
@@ -73,6 +76,7 @@ impl Flow {
         guides: &[KeyFrame],
         start: Affine,
         orders: std::ops::RangeInclusive<usize>,
+        margin: usize,
     ) -> Self {
         let field = Field {
             rows: shape.rows,
@@ -99,6 +103,7 @@ impl Flow {
             shares: shares(guides, shape.bins),
             field,
             start,
+            margin: margin as f32,
         }
     }
 
@@ -234,7 +239,7 @@ impl Flow {
             None => [y, x],
         };
         let [dy, dx] = self.field.displacement_at(affine, y, x);
-        [y + dy, x + dx]
+        [y + dy + self.margin, x + dx + self.margin]
     }
 
     /// Whether each of several guides sees each point, `[i][p]`: the point is what is drawn at its place.
@@ -316,6 +321,25 @@ impl Flow {
         }
     }
 
+    /// What each voxel of a drawn video takes of guide `i`.
+    pub fn samples<'d>(
+        &'d self,
+        values: &[f32],
+        drawn: &'d DrawnVideo,
+        i: usize,
+    ) -> impl Fn(usize) -> GuideSample + Sync + 'd {
+        let affine = self.affine(values);
+        let mut shifts = self.guide_shifts(&self.displacements(values));
+        let shifts = shifts.swap_remove(i);
+        move |v| {
+            let point = drawn.points[v];
+            GuideSample {
+                at: self.place_in_guide(&affine, shifts.as_ref(), point),
+                weight: self.weight(&drawn.visible, i, point, v / self.pixels()),
+            }
+        }
+    }
+
     /// The derivative at `values`, where the video is `drawn`.
     pub fn derivative(
         &self,
@@ -380,6 +404,15 @@ impl Derivative<'_> {
     pub fn apply(&self, d: &[f32]) -> Vec<f32> {
         let (flow, pixels) = (self.flow, self.flow.pixels());
         let images = flow.displacements(d);
+        // The displacements at the times of the guides are those of every bin.
+        let of_guides: [Vec<Vec<f32>>; 2] = std::array::from_fn(|axis| {
+            let shift = |term: usize| {
+                let mut shift = vec![0.0f32; pixels];
+                flow.displacement(&images[axis], term, 0, &mut shift);
+                shift
+            };
+            (1..self.gradients[axis].len()).map(shift).collect()
+        });
         let mut video = vec![0.0; flow.shape.voxels()];
         let bins = video.par_chunks_mut(pixels).enumerate();
         bins.for_each_init(
@@ -387,9 +420,10 @@ impl Derivative<'_> {
             |shift, (t, bin)| {
                 let range = t * pixels..(t + 1) * pixels;
                 let indices = &self.indices[range.clone()];
-                for (images, gradients) in images.iter().zip(&self.gradients) {
-                    for (term, gradient) in gradients.iter().enumerate() {
-                        flow.displacement(images, term, t, shift);
+                for axis in 0..2 {
+                    flow.displacement(&images[axis], 0, t, shift);
+                    let shifts = std::iter::once(&*shift).chain(&of_guides[axis]);
+                    for (shift, gradient) in shifts.zip(&self.gradients[axis]) {
                         let values = gradient[range.clone()].iter().zip(indices);
                         for (v, (g, p)) in bin.iter_mut().zip(values) {
                             *v += g * shift[*p as usize];
@@ -436,22 +470,34 @@ impl Derivative<'_> {
         let (flow, pixels) = (self.flow, self.flow.pixels());
         let mut sums = vec![0.0f32; (flow.modes() + 1) * pixels];
         let mut product = vec![0.0f32; pixels];
-        for &t in bins {
+        let add_bin = |term: usize, t: usize, product: &mut [f32]| {
             let range = t * pixels..(t + 1) * pixels;
-            for (term, gradient) in gradients.iter().enumerate() {
-                product.fill(0.0);
-                let values = video[range.clone()].iter().zip(&gradient[range.clone()]);
-                for ((v, g), p) in values.zip(&self.indices[range.clone()]) {
-                    product[*p as usize] += v * g;
-                }
-                for (m, sums) in sums.chunks_exact_mut(pixels).enumerate() {
-                    let factor = flow.factor(term, m, t);
-                    if factor != 0.0 {
-                        let pairs = sums.iter_mut().zip(&product);
-                        pairs.for_each(|(s, p)| *s += factor * p);
-                    }
+            let values = video[range.clone()]
+                .iter()
+                .zip(&gradients[term][range.clone()]);
+            for ((v, g), p) in values.zip(&self.indices[range]) {
+                product[*p as usize] += v * g;
+            }
+        };
+        let mut add_modes = |term: usize, t: usize, product: &[f32]| {
+            for (m, sums) in sums.chunks_exact_mut(pixels).enumerate() {
+                let factor = flow.factor(term, m, t);
+                if factor != 0.0 {
+                    let pairs = sums.iter_mut().zip(product);
+                    pairs.for_each(|(s, p)| *s += factor * p);
                 }
             }
+        };
+        for &t in bins {
+            product.fill(0.0);
+            add_bin(0, t, &mut product);
+            add_modes(0, t, &product);
+        }
+        // The factors of the guides are those of every bin.
+        for term in 1..gradients.len() {
+            product.fill(0.0);
+            bins.iter().for_each(|&t| add_bin(term, t, &mut product));
+            add_modes(term, 0, &product);
         }
         sums
     }
@@ -459,6 +505,7 @@ impl Derivative<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::margin::Margin;
     use super::*;
     use rowburst_core::vecmath::dot;
 
@@ -501,7 +548,7 @@ mod tests {
         let start = Affine {
             parameters: [0.5, 0.2, -0.1, -0.3, 0.1, 0.2],
         };
-        let flow = Flow::new(SHAPE, &guides, start, 1..=3);
+        let flow = Flow::new(SHAPE, &guides, start, 1..=3, 0);
         let pictures = images(&guides);
         let (values, d) = (ripple(&flow, 0.9, 0.4), ripple(&flow, 1.7, 1.0));
         let derivative = flow.derivative(&values, &flow.draw(&values, &pictures), &pictures);
@@ -532,13 +579,30 @@ mod tests {
     }
 
     #[test]
+    fn the_samples_of_the_guides_make_the_video() {
+        let (guides, margin) = (guides(), Margin { width: 5 });
+        let padded: Vec<Image> = guides.iter().map(|g| margin.around(&g.image)).collect();
+        let flow = Flow::new(SHAPE, &guides, Affine::default(), 1..=3, margin.width);
+        let values = ripple(&flow, 0.9, 0.4);
+        let drawn = flow.draw(&values, &padded);
+        let samples = [0, 1].map(|i| flow.samples(&values, &drawn, i));
+        for (v, expected) in drawn.video.iter().enumerate() {
+            let of_guide = |i: usize| {
+                let sample = samples[i](v);
+                sample.weight * picture::at(&padded[i], sample.at[0], sample.at[1]).0
+            };
+            assert!((of_guide(0) + of_guide(1) - expected).abs() < 1e-4);
+        }
+    }
+
+    #[test]
     fn the_video_at_the_time_of_a_guide_is_the_guide() {
         let guides = guides();
         // The second camera is shifted, turned and magnified.
         let start = Affine {
             parameters: [0.5, 0.6, -0.5, -0.3, 0.5, 0.6],
         };
-        let flow = Flow::new(SHAPE, &guides, start, 1..=3);
+        let flow = Flow::new(SHAPE, &guides, start, 1..=3, 0);
         let mut values = ripple(&flow, 0.9, 0.4);
         let n = flow.axis_len();
         values
@@ -566,10 +630,10 @@ mod tests {
         let start = Affine {
             parameters: [0.5, 0.2, -0.1, -0.3, 0.1, 0.2],
         };
-        let known = Flow::new(SHAPE, &[guide.clone()], start, 1..=2);
+        let known = Flow::new(SHAPE, &[guide.clone()], start, 1..=2, 0);
         let pictures = [guide.image.clone()];
         guide.bins = None;
-        let unknown = Flow::new(SHAPE, &[guide], start, 0..=2);
+        let unknown = Flow::new(SHAPE, &[guide], start, 0..=2, 0);
         let values = ripple(&known, 0.9, 0.4);
         let expected = known.draw(&values, &pictures).video;
         let converted = unknown.of_known_time(&values, 7.0);

@@ -7,6 +7,7 @@ use super::affine::{Affine, Field};
 use super::basis::{Spline, cosines};
 use super::frame_fit::FrameFit;
 use super::least_squares::{conjugate_gradients, project};
+use super::margin::{GuideSample, Margin};
 use super::picture;
 use rayon::prelude::*;
 use rowburst_core::vecmath::{dot, norm_squared, solve_normal};
@@ -14,8 +15,8 @@ use rowburst_optics::Image;
 
 /// Cosines in time.
 const MODES: usize = 8;
-/// Pixels between control points on a field of 108.
-const SPACING_PX: f64 = 3.0;
+/// Pixels between control points on a field of 108; larger is smoother.
+const SPACING_PX: f64 = 5.0;
 /// Weight of the prior on a coefficient of the k-th cosine, over `max(k, ½)`; larger keeps the gain even.
 const WEIGHT: f64 = 100.0;
 /// Conjugate gradients of the first solution, and of those after a correction of the map.
@@ -23,6 +24,8 @@ const ITERATIONS: usize = 60;
 const RESTART_ITERATIONS: usize = 25;
 /// Corrections of the affine map.
 const CORRECTIONS: usize = 3;
+/// Fits of the margin for a scene at rest.
+const STILL_FILLS: usize = 2;
 /// Standard deviation of a parameter of the affine map about its start, in pixels of a field of 108.
 const AFFINE_PX: f64 = 3.0;
 
@@ -32,6 +35,8 @@ pub(super) struct GainModel<'a> {
     field: Field,
     spline: Spline,
     time: Vec<Vec<f32>>,
+    margin: Margin,
+    /// The guide with its margin.
     guide: Image,
     start: Affine,
     target: Vec<f32>,
@@ -44,6 +49,8 @@ pub(super) struct GainField {
     /// Gain of the guide that the field varies about.
     pub gain: f64,
     pub affine: Affine,
+    /// The guide with its margin.
+    guide: Image,
 }
 
 impl<'a> GainModel<'a> {
@@ -55,7 +62,8 @@ impl<'a> GainModel<'a> {
             columns: shape.columns,
         };
         let unit = field.half_side() / 54.0;
-        let mut guide = guide.clone();
+        let margin = Margin::new(unit);
+        let mut guide = margin.around(guide);
         guide.data_mut().iter_mut().for_each(|g| *g = g.max(0.0));
         Self {
             spline: Spline::new(shape.rows, shape.columns, SPACING_PX * unit),
@@ -63,6 +71,7 @@ impl<'a> GainModel<'a> {
             target: frame.target(),
             frame,
             field,
+            margin,
             guide,
             start,
         }
@@ -78,45 +87,69 @@ impl<'a> GainModel<'a> {
         let points = self.spline.points();
         let mut control = vec![0.0; self.time.len() * points];
         control[..points].fill(1.0);
-        let even = self
-            .frame
-            .apply(&self.expand(&control, &self.warped(&self.start)));
-        let gain = (dot(&even, &self.target) / norm_squared(&even).max(f64::MIN_POSITIVE)).max(0.0);
         let mut found = GainField {
             control,
-            gain,
+            gain: 1.0,
             affine: self.start,
+            guide: self.guide.clone(),
         };
+        let even = self
+            .frame
+            .apply(&self.expand(&found.control, &self.warped(&found)));
+        let gain = dot(&even, &self.target) / norm_squared(&even).max(f64::MIN_POSITIVE);
+        found.gain = gain.max(0.0);
+        self.fill_margin(&mut found);
         self.solve(&mut found, ITERATIONS);
         for _ in 0..CORRECTIONS {
             if self.frame.cancel().is_cancelled() || !self.correct_affine(&mut found) {
                 break;
             }
-            self.solve(&mut found, RESTART_ITERATIONS);
+            self.refit(&mut found);
         }
         found
     }
 
-    /// Goes on from `found` with other pixels.
+    /// Goes on from `found`, with another map or other pixels.
     pub fn refit(&self, found: &mut GainField) {
+        self.fill_margin(found);
         self.solve(found, RESTART_ITERATIONS);
     }
 
     /// The video of the model, without negative light.
     pub fn video(&self, found: &GainField) -> Vec<f32> {
-        let mut video = self.expand(&found.control, &self.warped(&found.affine));
+        let mut video = self.expand(&found.control, &self.warped(found));
         let gain = found.gain as f32;
         video.par_iter_mut().for_each(|v| *v = (gain * *v).max(0.0));
         video
     }
 
-    fn warped(&self, affine: &Affine) -> Vec<f32> {
-        self.field.warp(&self.guide, affine).data().to_vec()
+    fn warped(&self, found: &GainField) -> Vec<f32> {
+        let map = self.margin.map(&found.affine);
+        self.field.warp(&found.guide, &map).into_data()
+    }
+
+    /// Fits the margin of the guide with this gain field.
+    fn fill_margin(&self, found: &mut GainField) {
+        let residual = self.residual(found);
+        let map = self.margin.map(&found.affine);
+        let factors = self.expand(
+            &found.control,
+            &vec![1.0; self.field.rows * self.field.columns],
+        );
+        let sample = |v: usize| GuideSample {
+            weight: factors[v],
+            ..self.field.sample(&map, v)
+        };
+        let gain = found.gain;
+        self.margin
+            .fill(&mut found.guide, self.frame, sample, &residual, gain);
+        let pixels = found.guide.data_mut().iter_mut();
+        pixels.for_each(|p| *p = p.max(0.0));
     }
 
     /// Conjugate gradients in the control points.
     fn solve(&self, found: &mut GainField, iterations: usize) {
-        let guide = self.warped(&found.affine);
+        let guide = self.warped(found);
         let gain = found.gain as f32;
         let light = self.frame.apply(&self.expand(&found.control, &guide));
         let residual: Vec<f32> = self
@@ -163,13 +196,13 @@ impl<'a> GainModel<'a> {
 
     /// A Gauss–Newton step in the affine map. Returns whether the fit became better.
     fn correct_affine(&self, found: &mut GainField) -> bool {
-        let (dy, dx) = self.field.displacement(&found.affine);
+        let (dy, dx) = self.field.displacement(&self.margin.map(&found.affine));
         let pixels = dy.len();
         let columns = self.field.columns;
         let gradients: Vec<(f32, f32)> = (0..pixels)
             .map(|p| {
                 let (y, x) = ((p / columns) as f32, (p % columns) as f32);
-                let (_, gy, gx) = picture::at(&self.guide, y + dy[p], x + dx[p]);
+                let (_, gy, gx) = picture::at(&found.guide, y + dy[p], x + dx[p]);
                 (gy, gx)
             })
             .collect();
@@ -216,7 +249,7 @@ impl<'a> GainModel<'a> {
     }
 
     fn residual(&self, found: &GainField) -> Vec<f32> {
-        let video = self.expand(&found.control, &self.warped(&found.affine));
+        let video = self.expand(&found.control, &self.warped(found));
         let light = self.frame.apply(&video);
         let gain = found.gain as f32;
         let pairs = self.target.iter().zip(&light);
@@ -258,19 +291,33 @@ impl<'a> GainModel<'a> {
     }
 }
 
-/// Gain and offset of the guide seen from the field, for a scene at rest.
+/// Gain and offset of the guide seen from the field, for a scene at rest, with the margin of the guide fitted in turn.
 pub(super) fn still(frame: &FrameFit, guide: &Image, affine: &Affine) -> (f64, f64, Vec<f32>) {
     let shape = frame.shape();
     let field = Field {
         rows: shape.rows,
         columns: shape.columns,
     };
-    let picture = field.warp(guide, affine);
-    let mut video = picture.data().repeat(shape.bins);
-    let (light, even) = (frame.apply(&video), frame.apply(&vec![1.0; shape.voxels()]));
-    let fit = project(&[&light, &even], &frame.target());
+    let margin = Margin::new(field.half_side() / 54.0);
+    let (mut padded, map) = (margin.around(guide), margin.map(affine));
+    let (even, target) = (frame.apply(&vec![1.0; shape.voxels()]), frame.target());
+    let fitted = |padded: &Image| {
+        let video = field.warp(padded, &map).data().repeat(shape.bins);
+        let light = frame.apply(&video);
+        let fit = project(&[&light, &even], &target);
+        (video, light, fit[0], fit[1])
+    };
+    for _ in 0..STILL_FILLS {
+        let (_, light, gain, offset) = fitted(&padded);
+        let model = light.iter().zip(&even);
+        let model = model.map(|(l, e)| gain as f32 * l + offset as f32 * e);
+        let residual: Vec<f32> = target.iter().zip(model).map(|(t, m)| t - m).collect();
+        let sample = |v: usize| field.sample(&map, v);
+        margin.fill(&mut padded, frame, sample, &residual, gain);
+    }
+    let (mut video, _, gain, offset) = fitted(&padded);
     video
         .iter_mut()
-        .for_each(|v| *v = (fit[0] as f32 * *v + fit[1] as f32).max(0.0));
-    (fit[0], fit[1], video)
+        .for_each(|v| *v = (gain as f32 * *v + offset as f32).max(0.0));
+    (gain, offset, video)
 }

@@ -26,6 +26,8 @@ struct Node {
 pub(super) struct Mesh {
     rows: usize,
     columns: usize,
+    /// Pixels between nodes.
+    spacing: f32,
     /// Places of the nodes along y and x.
     along_y: Vec<f32>,
     along_x: Vec<f32>,
@@ -52,6 +54,7 @@ impl Mesh {
         Self {
             rows,
             columns,
+            spacing: spacing as f32,
             along_y: nodes(rows),
             along_x: nodes(columns),
         }
@@ -64,9 +67,18 @@ impl Mesh {
         for (i, point) in points.iter_mut().enumerate() {
             *point = [(i / self.columns) as f32, (i % self.columns) as f32];
         }
+        // Nodes that are too far outside to come into the field are left out.
+        let farthest = |shift: &Image| shift.data().iter().fold(0.0f32, |m, s| m.max(s.abs()));
+        let reach = [&shifts[0], &shifts[1]].map(|shift| farthest(shift) + self.spacing);
+        let near = |line: &[f32], n: usize, reach: f32| -> Vec<f32> {
+            let can_enter = |at: &&f32| **at >= -reach && **at <= n as f32 - 1.0 + reach;
+            line.iter().filter(can_enter).copied().collect()
+        };
+        let along_y = near(&self.along_y, self.rows, reach[0]);
+        let along_x = near(&self.along_x, self.columns, reach[1]);
         drawing.nodes.clear();
-        for &y in &self.along_y {
-            for &x in &self.along_x {
+        for &y in &along_y {
+            for &x in &along_x {
                 let shift = std::array::from_fn(|axis| picture::at(&shifts[axis], y, x).0);
                 drawing.nodes.push(Node {
                     point: [y, x],
@@ -75,8 +87,8 @@ impl Mesh {
                 });
             }
         }
-        let width = self.along_x.len();
-        for i in 0..self.along_y.len() - 1 {
+        let width = along_x.len();
+        for i in 0..along_y.len() - 1 {
             for j in 0..width - 1 {
                 let node = |k: usize| drawing.nodes[i * width + j + k];
                 let (a, b, c, d) = (node(0), node(1), node(width), node(width + 1));

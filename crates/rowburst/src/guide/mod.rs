@@ -25,6 +25,7 @@ mod gain_field;
 mod key_frames;
 mod known_places;
 mod least_squares;
+mod margin;
 mod mesh;
 mod motion;
 mod picture;
@@ -42,6 +43,7 @@ use gain_field::{GainField, GainModel};
 use key_frames::KeyFrame;
 use known_places::PlacesModel;
 use motion::{Motion, MotionModel};
+use rayon::prelude::*;
 use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_optics::{Camera, Image, Measurement, RollingShutter, Video};
 use tracing::info;
@@ -138,7 +140,7 @@ pub struct GuideFit {
     pub correlation: f64,
     /// Rms displacement of a motion over the field and the bins, in pixels.
     pub displacement_px: Option<f64>,
-    /// Number of parameters of the model.
+    /// Number of parameters of the model, without the pixels beside the guide that the frame fills.
     pub degrees_of_freedom: f64,
     /// The traces of the places of [`GuideModel::Places`].
     pub known_places: Option<KnownPlaces>,
@@ -206,9 +208,10 @@ pub fn fit(
     cancel.check()?;
     let coarse = coarse_pictures(&frame, &without, &key_frames[reference]);
     let found = coarse
-        .iter()
+        .par_iter()
         .map(|coarse| register(coarse, &key_frames[reference].image));
-    let best = found.max_by(|a, b| a.1.total_cmp(&b.1));
+    let found: Vec<(Affine, f64)> = found.collect();
+    let best = found.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
     let (start, correlation) = best.expect("at least one picture");
     info!(
         "guide: registered, shift {:.2} and {:.2} px, correlation {correlation:.3}; without a guide held-out {:.3} σ",
@@ -254,6 +257,8 @@ enum Fitted {
 /// A model with its video and errors.
 struct Candidate {
     trial: GuideTrial,
+    /// The map from the field to the guide.
+    affine: Affine,
     fitted: Fitted,
 }
 
@@ -276,23 +281,28 @@ impl Search<'_> {
         }
         self.frame.cancel().check()?;
         let trials: Vec<GuideTrial> = candidates.iter().map(|c| c.trial).collect();
+        let chosen = decision::choose(&trials);
+        let shape = self.frame.shape();
+        let field = Field {
+            rows: shape.rows,
+            columns: shape.columns,
+        };
+        let maps = [self.start, candidates[chosen].affine];
+        let deviations = maps.map(|map| map.deviation(field.half_side()));
         let evidence = Evidence {
             trials: &trials,
             held_out_without: self.held_out_without,
             correlation: self.correlation,
             saturated: self.saturated,
-            deviation: self
-                .start
-                .deviation(0.5 * self.frame.shape().rows.max(self.frame.shape().columns) as f64),
+            deviation: deviations[0].max(deviations[1]),
         };
-        let chosen = decision::choose(&trials);
         let (used, reason) = evidence.verdict(&trials[chosen]);
         info!("guide {reason}");
         let candidate = candidates.swap_remove(chosen);
         self.finish(candidate, trials, chosen, used, reason)
     }
 
-    fn candidate(&self, fitted: Fitted, video: &[f32]) -> Candidate {
+    fn candidate(&self, fitted: Fitted, affine: Affine, video: &[f32]) -> Candidate {
         let (fitted_error, held_out) = self.frame.errors(video);
         let (model, order) = match &fitted {
             Fitted::Motion { order, .. } => (GuideModel::Motion, Some(*order)),
@@ -311,20 +321,21 @@ impl Search<'_> {
                 fitted: fitted_error,
                 held_out,
             },
+            affine,
             fitted,
         }
     }
 
     fn still(&self) -> Candidate {
         let (.., video) = gain_field::still(self.frame, self.reference, &self.start);
-        self.candidate(Fitted::Still, &video)
+        self.candidate(Fitted::Still, self.start, &video)
     }
 
     fn gain_field(&self) -> Candidate {
         let model = GainModel::new(self.frame, self.reference, self.start);
         let found = model.fit();
-        let video = model.video(&found);
-        self.candidate(Fitted::Gain(found), &video)
+        let (affine, video) = (found.affine, model.video(&found));
+        self.candidate(Fitted::Gain(found), affine, &video)
     }
 
     /// Traces of the places of the guide, under the map of a gain field.
@@ -337,7 +348,7 @@ impl Search<'_> {
             affine: model.affine,
             width: model.width(),
         };
-        Ok(self.candidate(fitted, &model.video()))
+        Ok(self.candidate(fitted, model.affine, &model.video()))
     }
 
     /// Motions with more and more modes, each from the one before, unless they are hopeless beside the held-out error of a gain
@@ -368,7 +379,7 @@ impl Search<'_> {
                 order,
                 motion: motion.clone(),
             };
-            let candidate = self.candidate(fitted, &video);
+            let candidate = self.candidate(fitted, model.affine(&motion), &video);
             let held_out = candidate.trial.held_out;
             candidates.push(candidate);
             if gain.is_some_and(|gain| held_out > decision::HOPELESS_MOTION * gain) {
@@ -394,7 +405,7 @@ impl Search<'_> {
             let known = MotionModel::new(self.frame, &[guide], self.start, ORDERS[0]);
             let mut motion = known.at_rest();
             known.fit(&mut motion, &BLURS_PX[..1], STEPS);
-            (motion.misfit, model.of_known_time(&motion, bin))
+            (known.objective(&motion), model.of_known_time(&motion, bin))
         };
         let motions = ASSUMED_TIMES.map(assumed).into_iter();
         let best = motions.min_by(|a, b| a.0.total_cmp(&b.0));

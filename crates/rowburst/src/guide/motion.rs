@@ -1,12 +1,14 @@
 //! A fit of motion, `a v(x, t) + c` with the video `v` of [`Flow`]: Gauss–Newton from coarse to fine by a blur of the guides, with
-//! conjugate gradients inside; gain `a` and offset `c` are fitted in every step.
+//! conjugate gradients inside. Gain `a` and offset `c` follow the motion: they are fitted in every step, and inside it what they explain is
+//! taken out (variable projection; Kaufman, BIT 15, 49, 1975). The margins of the guides are fitted before the steps.
 
 use super::affine::{Affine, Field};
 use super::flow::{DrawnVideo, Flow};
 use super::frame_fit::FrameFit;
 use super::key_frames::KeyFrame;
 use super::least_squares::{conjugate_gradients, project};
-use super::smoothness::{EdgeFactors, Smoothness};
+use super::margin::Margin;
+use super::smoothness::{PriorFactors, Smoothness};
 use rayon::prelude::*;
 use rowburst_core::vecmath::norm_squared;
 use rowburst_optics::Image;
@@ -25,6 +27,8 @@ pub(super) struct MotionModel<'a> {
     frame: &'a FrameFit<'a>,
     flow: Flow,
     smoothness: Smoothness,
+    margin: Margin,
+    /// The guides with margins of their edge values, where a fit begins.
     guides: Vec<Image>,
     /// Pixels per pixel of a field of 108.
     unit: f64,
@@ -38,10 +42,12 @@ pub(super) struct MotionModel<'a> {
 pub(super) struct Motion {
     /// Those of [`Flow`].
     values: Vec<f32>,
+    /// The guides with fitted margins.
+    guides: Vec<Image>,
     pub gain: f64,
     pub offset: f64,
-    /// The objective of the fit that found it.
-    pub misfit: f64,
+    /// The objective of the fit that found it, without the prior of the margins.
+    misfit: f64,
 }
 
 /// The video of a motion and its light in the frame, without gain and offset.
@@ -59,11 +65,13 @@ impl<'a> MotionModel<'a> {
             columns: shape.columns,
         };
         let unit = field.half_side() / 54.0;
+        let margin = Margin::new(unit);
         let first = usize::from(guides.iter().all(|g| g.bins.is_some()));
         Self {
-            flow: Flow::new(shape, guides, start, first..=order),
+            flow: Flow::new(shape, guides, start, first..=order, margin.width),
             smoothness: Smoothness::new(first..=order, unit),
-            guides: guides.iter().map(|g| g.image.clone()).collect(),
+            guides: guides.iter().map(|g| margin.around(&g.image)).collect(),
+            margin,
             unit,
             even: frame.apply(&vec![1.0; shape.voxels()]),
             target: frame.target(),
@@ -80,6 +88,7 @@ impl<'a> MotionModel<'a> {
     pub fn at_rest(&self) -> Motion {
         let mut motion = Motion {
             values: vec![0.0; 2 * self.flow.axis_len()],
+            guides: self.guides.clone(),
             gain: 1.0,
             offset: 0.0,
             misfit: f64::INFINITY,
@@ -99,30 +108,52 @@ impl<'a> MotionModel<'a> {
             new[..shared].copy_from_slice(&old[..shared]);
             new[to - 3..].copy_from_slice(&old[from - 3..]);
         }
-        Motion { values, ..*motion }
+        Motion {
+            values,
+            ..motion.clone()
+        }
     }
 
     /// The motion of a model with a guide of known time, at the place `bin`, for this one, whose guide has no time.
     pub fn of_known_time(&self, motion: &Motion, bin: f64) -> Motion {
         let values = self.flow.of_known_time(&motion.values, bin);
-        Motion { values, ..*motion }
+        Motion {
+            values,
+            ..motion.clone()
+        }
     }
 
     /// The guides blurred by `pixels`.
-    fn blurred(&self, pixels: f64) -> Vec<Image> {
-        self.guides.iter().map(|g| g.blurred(pixels)).collect()
+    fn blurred(motion: &Motion, pixels: f64) -> Vec<Image> {
+        motion.guides.iter().map(|g| g.blurred(pixels)).collect()
     }
 
     /// Gauss–Newton steps with the guides blurred by each of `blurs`, in pixels of a field of 108.
     pub fn fit(&self, motion: &mut Motion, blurs: &[f64], steps: usize) {
+        self.fill_margins(motion);
         for blur in blurs {
-            let guides = self.blurred(blur * self.unit);
+            let guides = Self::blurred(motion, blur * self.unit);
             let mut at = self.evaluate(motion, &guides);
             for _ in 0..steps {
                 if self.frame.cancel().is_cancelled() || !self.step(motion, &mut at, &guides) {
                     break;
                 }
             }
+        }
+    }
+
+    /// Fits the margins of the guides, one after another, with this motion.
+    fn fill_margins(&self, motion: &mut Motion) {
+        for i in 0..motion.guides.len() {
+            if self.frame.cancel().is_cancelled() {
+                return;
+            }
+            let guides = motion.guides.clone();
+            let at = self.evaluate(motion, &guides);
+            let residual = self.residual(motion, &at.light);
+            let sample = self.flow.samples(&motion.values, &at.drawn, i);
+            let (guide, gain) = (&mut motion.guides[i], motion.gain);
+            self.margin.fill(guide, self.frame, sample, &residual, gain);
         }
     }
 
@@ -138,7 +169,11 @@ impl<'a> MotionModel<'a> {
         let prior = self.prior(&factors, &motion.values);
         rhs.iter_mut().zip(&prior).for_each(|(r, p)| *r -= p);
         let normal = |d: &[f32]| {
-            let frame = self.frame.apply(&derivative.apply(d));
+            let mut frame = self.frame.apply(&derivative.apply(d));
+            let shares = project(&[&at.light, &self.even], &frame);
+            for (f, light) in frame.iter_mut().zip(self.combined(&shares, &at.light)) {
+                *f -= light;
+            }
             let mut product = derivative.adjoint(&self.frame.adjoint(&frame));
             let prior = self.prior(&factors, d);
             product
@@ -178,16 +213,27 @@ impl<'a> MotionModel<'a> {
         Evaluated { drawn, light }
     }
 
+    /// Light of a video and of an even one in the frame, with the factors `factors`.
+    fn combined<'l>(&'l self, factors: &[f64], light: &'l [f32]) -> impl Iterator<Item = f32> + 'l {
+        let [gain, offset] = [factors[0] as f32, factors[1] as f32];
+        let pairs = light.iter().zip(&self.even);
+        pairs.map(move |(light, even)| gain * light + offset * even)
+    }
+
+    /// The objective, with the prior of the margins.
+    pub fn objective(&self, motion: &Motion) -> f64 {
+        let margins = motion.guides.iter().map(|g| self.margin.energy(g));
+        motion.misfit + margins.sum::<f64>()
+    }
+
     fn residual(&self, motion: &Motion, light: &[f32]) -> Vec<f32> {
-        let (gain, offset) = (motion.gain as f32, motion.offset as f32);
-        (0..light.len())
-            .map(|i| self.target[i] - gain * light[i] - offset * self.even[i])
-            .collect()
+        let model = self.combined(&[motion.gain, motion.offset], light);
+        self.target.iter().zip(model).map(|(t, m)| t - m).collect()
     }
 
     /// The video of the model, without negative light.
     pub fn video(&self, motion: &Motion) -> Vec<f32> {
-        self.light(motion, &self.guides)
+        self.light(motion, &motion.guides)
     }
 
     fn light(&self, motion: &Motion, guides: &[Image]) -> Vec<f32> {
@@ -202,7 +248,7 @@ impl<'a> MotionModel<'a> {
     /// Which blur of the guides, in pixels, fits the frame best with this motion.
     pub fn best_blur(&self, motion: &Motion, blurs: &[f64]) -> f64 {
         let misfit = |blur: f64| {
-            let guides = self.blurred(blur);
+            let guides = Self::blurred(motion, blur);
             let mut motion = motion.clone();
             self.evaluate(&mut motion, &guides);
             motion.misfit
@@ -214,7 +260,7 @@ impl<'a> MotionModel<'a> {
 
     /// The video with the guides blurred by `blur` pixels, with gain and offset.
     pub fn blurred_video(&self, motion: &Motion, blur: f64) -> (Vec<f32>, f64, f64) {
-        let guides = self.blurred(blur);
+        let guides = Self::blurred(motion, blur);
         let mut motion = motion.clone();
         self.evaluate(&mut motion, &guides);
         (self.light(&motion, &guides), motion.gain, motion.offset)
@@ -245,7 +291,7 @@ impl<'a> MotionModel<'a> {
     }
 
     /// The curvature of the prior at the motion of `factors`, times `d`.
-    fn prior(&self, factors: &EdgeFactors, d: &[f32]) -> Vec<f32> {
+    fn prior(&self, factors: &PriorFactors, d: &[f32]) -> Vec<f32> {
         let (n, weight) = (self.flow.axis_len(), self.affine_weight() as f32);
         let mut out = vec![0.0; d.len()];
         for (d, out) in d.chunks_exact(n).zip(out.chunks_exact_mut(n)) {

@@ -21,10 +21,12 @@ pub(super) fn on_grid(picture: &Image, rows: usize, columns: usize) -> Image {
 }
 
 /// The picture at `(y, x)` by linear interpolation, with its derivatives along y and x. Places outside have the value of
-/// the edge.
+/// the edge, and no derivative away from it.
 #[inline]
 pub(super) fn at(picture: &Image, y: f32, x: f32) -> (f32, f32, f32) {
     let (rows, columns) = (picture.rows(), picture.columns());
+    let is_inside = |at: f32, n: usize| f32::from(u8::from((0.0..=n as f32 - 1.0).contains(&at)));
+    let (inside_y, inside_x) = (is_inside(y, rows), is_inside(x, columns));
     let y = y.clamp(0.0, (rows as f32 - 1.001).max(0.0));
     let x = x.clamp(0.0, (columns as f32 - 1.001).max(0.0));
     let (i, j) = (y as usize, x as usize);
@@ -44,7 +46,7 @@ pub(super) fn at(picture: &Image, y: f32, x: f32) -> (f32, f32, f32) {
     let value = (p * (1.0 - g) + q * g) * (1.0 - f) + (r * (1.0 - g) + s * g) * f;
     let along_y = (r - p) * (1.0 - g) + (s - q) * g;
     let along_x = (q - p) * (1.0 - f) + (s - r) * f;
-    (value, along_y, along_x)
+    (value, inside_y * along_y, inside_x * along_x)
 }
 
 #[cfg(test)]
@@ -56,6 +58,8 @@ mod tests {
         let ramp = Image::from_fn(20, 30, |y, x| 2.0 * y as f32 + 3.0 * x as f32);
         let (value, dy, dx) = at(&ramp, 4.25, 7.5);
         assert!((value - 31.0).abs() < 1e-4 && (dy - 2.0).abs() < 1e-4 && (dx - 3.0).abs() < 1e-4);
+        let (value, dy, dx) = at(&ramp, -2.0, 7.5);
+        assert!((value - 22.5).abs() < 1e-4 && dy == 0.0 && (dx - 3.0).abs() < 1e-4);
         let half = on_grid(&ramp, 10, 15);
         // Pixel (5, 7) of the coarse grid lies at (10.5, 14.5) of the fine one.
         assert!((half.at(5, 7) - (21.0 + 43.5)).abs() < 1e-3);

@@ -1,20 +1,21 @@
 //! The prior of a motion: neighbours move alike, but for edges between things.
 //!
 //! ```text
-//! E(θ) = W [ 2ε² Σ_edges (√(1 + |Δθ|²/ε²) − 1) + p Σ_points |θ|² ],   |θ|² = Σ_k √(1 + k) (θ_ky² + θ_kx²)
+//! E(θ) = W [ Σ_edges ρ(|Δθ|²) + p Σ_points ρ(|θ|²) ],   ρ(s) = 2ε² (√(1 + s/ε²) − 1),   |θ|² = Σ_k √(1 + k) (θ_ky² + θ_kx²)
 //! ```
 //!
 //! with the differences `Δθ` of neighbouring control points, of all modes and both axes in one square (docs/design/028). Small differences cost
-//! their square, as a membrane does; those of an edge, where a thing passes before another, only their size (Charbonnier).
+//! their square, as a membrane does; those of an edge, where a thing passes before another, only their size (Charbonnier). Displacements
+//! are penalised by the same function, since most points rest and some move far.
 
 use super::basis::Spline;
 
 /// `W`, the weight of a squared difference in 1/px² on a field of 108; larger is smoother.
 const WEIGHT: f64 = 20.0;
-/// `ε`, the difference of an edge in pixels; smaller allows sharper edges.
+/// `ε` in pixels, the difference of an edge and the displacement of what moves; smaller allows sharper edges.
 const EDGE_PX: f64 = 0.1;
-/// `p`, the pull to rest.
-const PULL: f64 = 0.001;
+/// `p`, the pull to rest; larger keeps more at rest.
+const PULL: f64 = 0.2;
 
 /// The prior of sets of control points, `[axis][mode, point]`.
 pub(super) struct Smoothness {
@@ -24,8 +25,13 @@ pub(super) struct Smoothness {
     weights: Vec<f64>,
 }
 
-/// Factors of the squared differences that give the prior's gradient at a motion.
-pub(super) struct EdgeFactors(Vec<f32>);
+/// Factors of the squares that give the prior's gradient at a motion.
+pub(super) struct PriorFactors {
+    /// Those of the differences.
+    edges: Vec<f32>,
+    /// Those of the displacements of the points.
+    points: Vec<f32>,
+}
 
 impl Smoothness {
     /// The prior of the modes `orders`.
@@ -51,28 +57,38 @@ impl Smoothness {
         squares
     }
 
-    /// `E(θ)`.
-    pub fn energy(&self, spline: &Spline, axes: [&[f32]; 2]) -> f64 {
-        let squares = self.squares(spline, axes);
-        let edges: f64 = squares
-            .iter()
-            .map(|s| (1.0 + s / EDGE_PX.powi(2)).sqrt() - 1.0)
-            .sum();
-        let mut rest = 0.0;
+    /// `|θ|²` of each point, in pixels of a field of 108.
+    fn squares_of_points(&self, spline: &Spline, axes: [&[f32]; 2]) -> Vec<f64> {
+        let mut squares = vec![0.0; spline.points()];
         for values in axes {
-            for (values, weight) in values.chunks_exact(spline.points()).zip(&self.weights) {
-                let sum: f64 = values.iter().map(|v| f64::from(*v).powi(2)).sum();
-                rest += weight * sum / self.unit.powi(2);
+            let modes = values.chunks_exact(spline.points()).zip(&self.weights);
+            for (values, weight) in modes {
+                for (square, value) in squares.iter_mut().zip(values) {
+                    *square += weight * (f64::from(*value) / self.unit).powi(2);
+                }
             }
         }
-        WEIGHT * (2.0 * EDGE_PX.powi(2) * edges + PULL * rest)
+        squares
+    }
+
+    /// `E(θ)`.
+    pub fn energy(&self, spline: &Spline, axes: [&[f32]; 2]) -> f64 {
+        let sum = |squares: Vec<f64>| -> f64 {
+            let roots = squares.iter().map(|s| (1.0 + s / EDGE_PX.powi(2)).sqrt());
+            2.0 * EDGE_PX.powi(2) * roots.map(|root| root - 1.0).sum::<f64>()
+        };
+        let points = self.squares_of_points(spline, axes);
+        WEIGHT * (sum(self.squares(spline, axes)) + PULL * sum(points))
     }
 
     /// The factors at a motion.
-    pub fn factors(&self, spline: &Spline, axes: [&[f32]; 2]) -> EdgeFactors {
-        let squares = self.squares(spline, axes);
+    pub fn factors(&self, spline: &Spline, axes: [&[f32]; 2]) -> PriorFactors {
         let factor = |s: &f64| (1.0 / (1.0 + s / EDGE_PX.powi(2)).sqrt()) as f32;
-        EdgeFactors(squares.iter().map(factor).collect())
+        let factors = |squares: Vec<f64>| squares.iter().map(factor).collect();
+        PriorFactors {
+            edges: factors(self.squares(spline, axes)),
+            points: factors(self.squares_of_points(spline, axes)),
+        }
     }
 
     /// Adds `H d` to `out` for one axis, with the positive `H` whose `H θ` is half the gradient of `E` at the motion of
@@ -80,7 +96,7 @@ impl Smoothness {
     pub fn add_product(
         &self,
         spline: &Spline,
-        factors: &EdgeFactors,
+        factors: &PriorFactors,
         values: &[f32],
         out: &mut [f32],
     ) {
@@ -89,14 +105,11 @@ impl Smoothness {
             .chunks_exact(points)
             .zip(out.chunks_exact_mut(points));
         for ((values, out), mode) in modes.zip(&self.weights) {
-            let weight = WEIGHT * mode / self.unit.powi(2);
-            let pull = (PULL * weight) as f32;
-            let weight = weight as f32;
-            for (out, value) in out.iter_mut().zip(values) {
-                *out += pull * value;
-            }
+            let weight = (WEIGHT * mode / self.unit.powi(2)) as f32;
+            let rest = out.iter_mut().zip(values).zip(&factors.points);
+            rest.for_each(|((out, value), factor)| *out += PULL as f32 * weight * factor * value);
             spline.for_each_edge(|edge, at, other| {
-                let change = weight * factors.0[edge] * (values[other] - values[at]);
+                let change = weight * factors.edges[edge] * (values[other] - values[at]);
                 out[at] -= change;
                 out[other] += change;
             });
@@ -145,9 +158,7 @@ mod tests {
         let energy = |height: f32| {
             let step = |i: usize| if i % 10 < 5 { 0.0 } else { height };
             let values: Vec<f32> = (0..spline.points()).map(step).collect();
-            // Without the pull to rest.
-            let pull = WEIGHT * PULL * 50.0 * f64::from(height).powi(2);
-            prior.energy(&spline, [&values, &rest]) - pull
+            prior.energy(&spline, [&values, &rest])
         };
         assert!((energy(20.0) / energy(10.0) - 2.0).abs() < 0.05);
         assert!((energy(0.02) / energy(0.01) - 4.0).abs() < 0.05);

@@ -59,7 +59,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 38;
+pub const ALGORITHM_REVISION: u32 = 39;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
