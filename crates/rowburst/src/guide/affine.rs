@@ -1,9 +1,9 @@
 //! The affine map from the field to a guide, and its first estimate by registration on a coarse picture of the scene.
 
 use super::least_squares::project;
-use super::margin::GuideSample;
-use super::picture;
+use super::picture::{self, GuideSample};
 use rayon::prelude::*;
+use rowburst_core::Shape;
 use rowburst_core::vecmath::{dot, solve_normal};
 use rowburst_optics::Image;
 
@@ -55,6 +55,14 @@ pub(super) struct Field {
 }
 
 impl Field {
+    /// Those of the pictures of a video.
+    pub fn of(shape: Shape) -> Self {
+        Self {
+            rows: shape.rows,
+            columns: shape.columns,
+        }
+    }
+
     /// Half of the longer side.
     pub fn half_side(self) -> f64 {
         0.5 * self.rows.max(self.columns) as f64
@@ -132,7 +140,7 @@ pub(super) fn register(coarse: &Image, guide: &Image) -> (Affine, f64) {
         columns: coarse.columns(),
     };
     let unit = field.half_side() / 54.0;
-    let mut best = search(coarse, guide);
+    let mut best = search(field, coarse, guide);
     for blur in BLURS_PX {
         let (from, to) = (guide.blurred(blur * unit), coarse.blurred(blur * unit));
         for _ in 0..STEPS {
@@ -151,8 +159,8 @@ pub(super) fn register(coarse: &Image, guide: &Image) -> (Affine, f64) {
 }
 
 /// The best of a grid of shifts, turns and magnifications, on pictures of half the resolution.
-fn search(coarse: &Image, guide: &Image) -> Affine {
-    let (rows, columns) = (coarse.rows().div_ceil(2), coarse.columns().div_ceil(2));
+fn search(full: Field, coarse: &Image, guide: &Image) -> Affine {
+    let (rows, columns) = (full.rows.div_ceil(2), full.columns.div_ceil(2));
     let field = Field { rows, columns };
     let half = field.half_side();
     let unit = half / 54.0;
@@ -172,10 +180,10 @@ fn search(coarse: &Image, guide: &Image) -> Affine {
     let score = |map: &Affine| correlation(&to, &field.warp(&from, map));
     let scores: Vec<f64> = maps.par_iter().map(score).collect();
     let best = (0..maps.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]));
-    let full = 0.5 * coarse.rows().max(coarse.columns()) as f64;
     let parameters = maps[best.expect("a grid of maps")].parameters;
+    let scale = full.half_side() / half;
     Affine {
-        parameters: parameters.map(|p| p * full / half),
+        parameters: parameters.map(|p| p * scale),
     }
 }
 
@@ -246,7 +254,6 @@ pub(super) fn correlation(a: &Image, b: &Image) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowburst_core::Shape;
     use rowburst_simulate::scene::{DenseScene, dense};
 
     #[test]

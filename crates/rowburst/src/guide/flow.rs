@@ -17,9 +17,8 @@
 use super::affine::{Affine, Field};
 use super::basis::{Spline, beam_mode};
 use super::key_frames::{KeyFrame, nearest_to_middle, shares, time_of};
-use super::margin::GuideSample;
 use super::mesh::{Drawing, Mesh};
-use super::picture;
+use super::picture::{self, GuideSample};
 use rayon::prelude::*;
 use rowburst_core::Shape;
 use rowburst_core::vecmath::norm_squared;
@@ -78,10 +77,7 @@ impl Flow {
         orders: std::ops::RangeInclusive<usize>,
         margin: usize,
     ) -> Self {
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         let unit = field.half_side() / 54.0;
         let reference = nearest_to_middle(guides, shape.bins);
         let at_start = |k: usize| time_of(&guides[reference], k, shape.bins);
@@ -288,6 +284,20 @@ impl Flow {
         part(i) / (0..visible.len()).map(part).sum::<f32>()
     }
 
+    /// What a voxel that shows a point in a bin takes of guide `i`, whose points are displaced by `shifts`.
+    fn sampler<'a>(
+        &'a self,
+        affine: Affine,
+        shifts: Option<&'a [Image; 2]>,
+        visible: &'a [Vec<bool>],
+        i: usize,
+    ) -> impl Fn([f32; 2], usize) -> GuideSample + Sync + 'a {
+        move |point, t| GuideSample {
+            at: self.place_in_guide(&affine, shifts, point),
+            weight: self.weight(visible, i, point, t),
+        }
+    }
+
     /// The video of the parameters `values`.
     pub fn draw(&self, values: &[f32], guides: &[Image]) -> DrawnVideo {
         let images = self.displacements(values);
@@ -307,9 +317,9 @@ impl Flow {
             }
             self.mesh.draw(shifts, drawing, points);
             for (i, guide) in guides.iter().enumerate() {
+                let sample = self.sampler(affine, guide_shifts[i].as_ref(), &visible, i);
                 for (v, p) in bin.iter_mut().zip(&*points) {
-                    let [y, x] = self.place_in_guide(&affine, guide_shifts[i].as_ref(), *p);
-                    let weight = self.weight(&visible, i, *p, t);
+                    let GuideSample { at: [y, x], weight } = sample(*p, t);
                     *v += weight * picture::at(guide, y, x).0;
                 }
             }
@@ -332,11 +342,8 @@ impl Flow {
         let mut shifts = self.guide_shifts(&self.displacements(values));
         let shifts = shifts.swap_remove(i);
         move |v| {
-            let point = drawn.points[v];
-            GuideSample {
-                at: self.place_in_guide(&affine, shifts.as_ref(), point),
-                weight: self.weight(&drawn.visible, i, point, v / self.pixels()),
-            }
+            let sample = self.sampler(affine, shifts.as_ref(), &drawn.visible, i);
+            sample(drawn.points[v], v / self.pixels())
         }
     }
 
@@ -352,10 +359,10 @@ impl Flow {
         let affine = self.affine(values);
         let guide_shifts = self.guide_shifts(&self.displacements(values));
         for (i, (guide, shifts)) in guides.iter().zip(&guide_shifts).enumerate() {
+            let sample = self.sampler(affine, shifts.as_ref(), &drawn.visible, i);
             let gradient = |(v, p): (usize, &[f32; 2])| {
-                let [y, x] = self.place_in_guide(&affine, shifts.as_ref(), *p);
+                let GuideSample { at: [y, x], weight } = sample(*p, v / self.pixels());
                 let (_, along_y, along_x) = picture::at(guide, y, x);
-                let weight = self.weight(&drawn.visible, i, *p, v / self.pixels());
                 (weight * along_y, weight * along_x)
             };
             let (along_y, along_x) = drawn.points.par_iter().enumerate().map(gradient).unzip();

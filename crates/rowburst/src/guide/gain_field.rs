@@ -7,8 +7,8 @@ use super::affine::{Affine, Field};
 use super::basis::{Spline, cosines};
 use super::frame_fit::FrameFit;
 use super::least_squares::{conjugate_gradients, project};
-use super::margin::{GuideSample, Margin};
-use super::picture;
+use super::margin::Margin;
+use super::picture::{self, GuideSample};
 use rayon::prelude::*;
 use rowburst_core::vecmath::{dot, norm_squared, solve_normal};
 use rowburst_optics::Image;
@@ -57,10 +57,7 @@ impl<'a> GainModel<'a> {
     /// A gain field on `guide` for the fitted pixels of `frame`.
     pub fn new(frame: &'a FrameFit<'a>, guide: &Image, start: Affine) -> Self {
         let shape = frame.shape();
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         let unit = field.half_side() / 54.0;
         let margin = Margin::new(unit);
         let mut guide = margin.around(guide);
@@ -294,10 +291,7 @@ impl<'a> GainModel<'a> {
 /// Gain and offset of the guide seen from the field, for a scene at rest, with the margin of the guide fitted in turn.
 pub(super) fn still(frame: &FrameFit, guide: &Image, affine: &Affine) -> (f64, f64, Vec<f32>) {
     let shape = frame.shape();
-    let field = Field {
-        rows: shape.rows,
-        columns: shape.columns,
-    };
+    let field = Field::of(shape);
     let margin = Margin::new(field.half_side() / 54.0);
     let (mut padded, map) = (margin.around(guide), margin.map(affine));
     let (even, target) = (frame.apply(&vec![1.0; shape.voxels()]), frame.target());

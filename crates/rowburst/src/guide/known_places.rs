@@ -136,10 +136,7 @@ impl<'a> PlacesModel<'a> {
     /// As above.
     pub fn new(frame: &'a FrameFit<'a>, guide: &Image, affine: Affine, width: f64) -> Result<Self> {
         let shape = frame.shape();
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         let (dy, dx) = field.displacement(&affine);
         let places = (0..shape.pixels()).map(|i| {
             let (y, x) = ((i / field.columns) as f32, (i % field.columns) as f32);

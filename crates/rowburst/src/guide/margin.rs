@@ -11,6 +11,7 @@
 use super::affine::Affine;
 use super::frame_fit::FrameFit;
 use super::least_squares::conjugate_gradients;
+use super::picture::{self, GuideSample};
 use rayon::prelude::*;
 use rowburst_core::vecmath::norm_squared;
 use rowburst_optics::Image;
@@ -27,14 +28,6 @@ const SMOOTHEST: f64 = 1e-6;
 pub(super) struct Margin {
     /// Width in pixels.
     pub width: usize,
-}
-
-/// What a voxel takes of a guide.
-pub(super) struct GuideSample {
-    /// Its place `(y, x)` in the picture with its margin.
-    pub at: [f32; 2],
-    /// The factor of the picture's value there.
-    pub weight: f32,
 }
 
 /// Weight of a pixel of the margin in a voxel of a bin.
@@ -206,11 +199,20 @@ impl Margin {
         frame: &FrameFit,
         sample: impl Fn(usize) -> GuideSample + Sync,
     ) -> Vec<Vec<Entry>> {
-        let pixels = frame.shape().pixels();
+        let (pixels, columns) = (frame.shape().pixels(), padded.columns());
         let of_bin = |t: usize| {
             let mut entries = Vec::new();
             for voxel in 0..pixels {
-                self.add_entries(padded, voxel, &sample(t * pixels + voxel), &mut entries);
+                let sample = sample(t * pixels + voxel);
+                for (pixel, part) in picture::corners(padded, sample.at) {
+                    if self.contains(padded, pixel / columns, pixel % columns) {
+                        entries.push(Entry {
+                            voxel: voxel as u32,
+                            pixel: pixel as u32,
+                            weight: sample.weight * part,
+                        });
+                    }
+                }
             }
             entries
         };
@@ -219,35 +221,11 @@ impl Margin {
             .map(of_bin)
             .collect()
     }
-
-    fn add_entries(self, padded: &Image, voxel: usize, sample: &GuideSample, to: &mut Vec<Entry>) {
-        let (rows, columns) = (padded.rows(), padded.columns());
-        let y = sample.at[0].clamp(0.0, rows as f32 - 1.001);
-        let x = sample.at[1].clamp(0.0, columns as f32 - 1.001);
-        let (i, j) = (y as usize, x as usize);
-        let (f, g) = (y - i as f32, x - j as f32);
-        let corners = [
-            (0, 0, (1.0 - f) * (1.0 - g)),
-            (0, 1, (1.0 - f) * g),
-            (1, 0, f * (1.0 - g)),
-            (1, 1, f * g),
-        ];
-        for (down, right, part) in corners {
-            if self.contains(padded, i + down, j + right) {
-                to.push(Entry {
-                    voxel: voxel as u32,
-                    pixel: ((i + down) * columns + j + right) as u32,
-                    weight: sample.weight * part,
-                });
-            }
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::affine::Field;
-    use super::super::picture;
     use super::*;
     use rowburst_core::{Cancel, LinearOperator};
     use rowburst_optics::{Camera, CameraParams, Measurement, RollingShutter, Sensor, Shutter};

@@ -13,7 +13,7 @@
 //!
 //! with modes of a free beam `τ_k` and cosines `c_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the
 //! k-th place. In a motion each point `p` carries its displacement. The affine map `d` is found by registration on a coarse
-//! video without a guide, then from the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that predicts
+//! video without a guide, then from the frame. Pixels beside the guide that the field reaches are fitted to the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that predicts
 //! them worse than no guide (docs/design/028).
 
 mod affine;
@@ -283,10 +283,7 @@ impl Search<'_> {
         let trials: Vec<GuideTrial> = candidates.iter().map(|c| c.trial).collect();
         let chosen = decision::choose(&trials);
         let shape = self.frame.shape();
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         let maps = [self.start, candidates[chosen].affine];
         let deviations = maps.map(|map| map.deviation(field.half_side()));
         let evidence = Evidence {
@@ -471,10 +468,7 @@ impl Search<'_> {
                 )
             }
         };
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         Ok(GuideFit {
             model: candidate.trial.model,
             video: Video::new(shape, video)?,

@@ -60,10 +60,7 @@ impl<'a> MotionModel<'a> {
     /// Motion with modes up to `order` on the fitted pixels of `frame`.
     pub fn new(frame: &'a FrameFit<'a>, guides: &[KeyFrame], start: Affine, order: usize) -> Self {
         let shape = frame.shape();
-        let field = Field {
-            rows: shape.rows,
-            columns: shape.columns,
-        };
+        let field = Field::of(shape);
         let unit = field.half_side() / 54.0;
         let margin = Margin::new(unit);
         let first = usize::from(guides.iter().all(|g| g.bins.is_some()));

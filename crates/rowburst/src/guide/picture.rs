@@ -20,6 +20,30 @@ pub(super) fn on_grid(picture: &Image, rows: usize, columns: usize) -> Image {
     })
 }
 
+/// What a voxel takes of a guide.
+pub(super) struct GuideSample {
+    /// Its place `(y, x)` in the picture of the guide.
+    pub at: [f32; 2],
+    /// The factor of the picture's value there.
+    pub weight: f32,
+}
+
+/// The pixels, as indices, that [`at`] interpolates between, with their weights.
+pub(super) fn corners(picture: &Image, [y, x]: [f32; 2]) -> [(usize, f32); 4] {
+    let (rows, columns) = (picture.rows(), picture.columns());
+    let y = y.clamp(0.0, (rows as f32 - 1.001).max(0.0));
+    let x = x.clamp(0.0, (columns as f32 - 1.001).max(0.0));
+    let (i, j) = (y as usize, x as usize);
+    let (f, g) = (y - i as f32, x - j as f32);
+    let (lower, right) = ((i + 1).min(rows - 1), (j + 1).min(columns - 1));
+    [
+        (i * columns + j, (1.0 - f) * (1.0 - g)),
+        (i * columns + right, (1.0 - f) * g),
+        (lower * columns + j, f * (1.0 - g)),
+        (lower * columns + right, f * g),
+    ]
+}
+
 /// The picture at `(y, x)` by linear interpolation, with its derivatives along y and x. Places outside have the value of
 /// the edge, and no derivative away from it.
 #[inline]
@@ -60,6 +84,9 @@ mod tests {
         assert!((value - 31.0).abs() < 1e-4 && (dy - 2.0).abs() < 1e-4 && (dx - 3.0).abs() < 1e-4);
         let (value, dy, dx) = at(&ramp, -2.0, 7.5);
         assert!((value - 22.5).abs() < 1e-4 && dy == 0.0 && (dx - 3.0).abs() < 1e-4);
+        let weights = corners(&ramp, [4.25, 7.5]);
+        let sum: f32 = weights.iter().map(|(i, w)| w * ramp.data()[*i]).sum();
+        assert!((sum - 31.0).abs() < 1e-4);
         let half = on_grid(&ramp, 10, 15);
         // Pixel (5, 7) of the coarse grid lies at (10.5, 14.5) of the fine one.
         assert!((half.at(5, 7) - (21.0 + 43.5)).abs() < 1e-3);

@@ -43,7 +43,7 @@ impl Smoothness {
     }
 
     /// `|Δθ|²` of each edge, in pixels of a field of 108.
-    fn squares(&self, spline: &Spline, axes: [&[f32]; 2]) -> Vec<f64> {
+    fn squares_of_edges(&self, spline: &Spline, axes: [&[f32]; 2]) -> Vec<f64> {
         let mut squares = vec![0.0; spline.edges()];
         for values in axes {
             let modes = values.chunks_exact(spline.points()).zip(&self.weights);
@@ -78,7 +78,7 @@ impl Smoothness {
             2.0 * EDGE_PX.powi(2) * roots.map(|root| root - 1.0).sum::<f64>()
         };
         let points = self.squares_of_points(spline, axes);
-        WEIGHT * (sum(self.squares(spline, axes)) + PULL * sum(points))
+        WEIGHT * (sum(self.squares_of_edges(spline, axes)) + PULL * sum(points))
     }
 
     /// The factors at a motion.
@@ -86,7 +86,7 @@ impl Smoothness {
         let factor = |s: &f64| (1.0 / (1.0 + s / EDGE_PX.powi(2)).sqrt()) as f32;
         let factors = |squares: Vec<f64>| squares.iter().map(factor).collect();
         PriorFactors {
-            edges: factors(self.squares(spline, axes)),
+            edges: factors(self.squares_of_edges(spline, axes)),
             points: factors(self.squares_of_points(spline, axes)),
         }
     }
