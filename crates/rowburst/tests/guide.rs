@@ -268,7 +268,11 @@ fn pictures_of_something_else_are_dropped() {
     let mirrored = Image::from_fn(N, N, |y, x| honest.at(y, N - 1 - x));
     let other = Case::new(DenseScene::Wheel, 9).picture(3, (0, 0));
     let clipped = Image::from_fn(N, N, |y, x| honest.at(y, x).min(0.4 * honest.max()));
+    // The picture at 1.3 times the magnification.
+    let place = |i: usize| (0.5 * (N as f64 - 1.0) * (1.0 - 1.0 / 1.3) + i as f64 / 1.3).round();
+    let larger = Image::from_fn(N, N, |y, x| honest.at(place(y) as usize, place(x) as usize));
     for (name, lie) in [
+        ("larger", larger),
         ("mirrored", mirrored),
         ("other", other),
         ("clipped", clipped),

@@ -191,19 +191,20 @@ mod tests {
     #[test]
     fn what_does_not_resemble_the_frame_is_dropped() {
         let trials = [trial(GuideModel::Motion, Some(2), 1.1)];
-        let of = |correlation, held_out_without, saturated| {
+        let of = |correlation, held_out_without, saturated, deviation| {
             let evidence = Evidence {
                 trials: &trials,
                 held_out_without,
                 correlation,
                 saturated,
-                deviation: 0.2,
+                deviation,
             };
             evidence.verdict(&trials[0]).0
         };
-        assert!(of(0.8, 1.05, 0.0));
-        assert!(!of(0.2, 1.05, 0.0));
-        assert!(!of(0.8, 0.8, 0.0));
-        assert!(!of(0.8, 1.05, 0.2));
+        assert!(of(0.8, 1.05, 0.0, 0.2));
+        assert!(!of(0.2, 1.05, 0.0, 0.2));
+        assert!(!of(0.8, 0.8, 0.0, 0.2));
+        assert!(!of(0.8, 1.05, 0.2, 0.2));
+        assert!(!of(0.8, 1.05, 0.0, 1.1));
     }
 }
